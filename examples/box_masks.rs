@@ -13,7 +13,9 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use rustix::time::{ClockId, clock_gettime};
-use tractrix::networks::{BoxSegmenter, GrabCut, PromptOptions, default_models, load_box_segmenter, load_small_box_segmenter};
+use tractrix::networks::{
+    BoxSegmenter, GrabCut, PromptOptions, default_models, load_box_segmenter, load_small_box_segmenter,
+};
 use tractrix::scene::{Mask, Rect};
 use tractrix::video::Source;
 

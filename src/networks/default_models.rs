@@ -132,7 +132,8 @@ mod tests {
     fn the_first_folder_with_all_files_serves_and_others_are_told() {
         let folder = tempfile::tempdir().unwrap();
         let (half, whole) = (folder.path().join("half"), folder.path().join("whole"));
-        for (place, files) in [(&half, &[DETECTOR][..]), (&whole, &[DETECTOR, MASK_ENCODER, MASK_DECODER, SMALL_MASKS])] {
+        for (place, files) in [(&half, &[DETECTOR][..]), (&whole, &[DETECTOR, MASK_ENCODER, MASK_DECODER, SMALL_MASKS])]
+        {
             std::fs::create_dir(place).unwrap();
             files.iter().for_each(|file| std::fs::write(place.join(file), "").unwrap());
         }

@@ -28,7 +28,7 @@ CONTEXT, LONGEST = 2.6, 260
 
 @dataclass(frozen=True)
 class Source:
-    """Files of a repository: a prefix and endings of paths; scales at which the detector sees them, none for backgrounds."""
+    """Files of a repository: prefix and endings of paths; scales for the detector, none for backgrounds."""
 
     repository: str
     commit: str
@@ -40,28 +40,68 @@ class Source:
 
 
 SOURCES = (
-    Source("intel-iot-devkit/sample-videos", "57978890822836f2b4743852f04f62fc511757e4", "CC BY 4.0",
-           "car-detection", (".mp4",), (0.35, 0.6), 6),
-    Source("OlafenwaMoses/ImageAI", "2156d1a39a196c72057771d1d16226388c1d7baf", "MIT",
-           "data-videos/traffic-mini", (".mp4",), (1.0, 0.5), 6),
-    Source("jekhor/aerial-cars-dataset", "d2ed927fe2b06e4794e90d6320152b940808ddd9", "CC BY 3.0 (KIT AIS)",
-           "MOS", (".png",), (1.5, 3.0)),
-    Source("jekhor/aerial-cars-dataset", "d2ed927fe2b06e4794e90d6320152b940808ddd9", "CC BY 3.0 (KIT AIS)",
-           "MunichStreet", (".png",), (1.5, 3.0)),
+    Source(
+        "intel-iot-devkit/sample-videos",
+        "57978890822836f2b4743852f04f62fc511757e4",
+        "CC BY 4.0",
+        "car-detection",
+        (".mp4",),
+        (0.35, 0.6),
+        6,
+    ),
+    Source(
+        "OlafenwaMoses/ImageAI",
+        "2156d1a39a196c72057771d1d16226388c1d7baf",
+        "MIT",
+        "data-videos/traffic-mini",
+        (".mp4",),
+        (1.0, 0.5),
+        6,
+    ),
+    Source(
+        "jekhor/aerial-cars-dataset",
+        "d2ed927fe2b06e4794e90d6320152b940808ddd9",
+        "CC BY 3.0 (KIT AIS)",
+        "MOS",
+        (".png",),
+        (1.5, 3.0),
+    ),
+    Source(
+        "jekhor/aerial-cars-dataset",
+        "d2ed927fe2b06e4794e90d6320152b940808ddd9",
+        "CC BY 3.0 (KIT AIS)",
+        "MunichStreet",
+        (".png",),
+        (1.5, 3.0),
+    ),
     Source("OpenDroneMap/odm_data_caliterra", "bec3dc7296e90aacb3930eb9df8061849fbfe0d0", "CC0", "", (".jpg",), ()),
     Source("OpenDroneMap/odm_data_lewis", "e3ffe160708611575dcb171a1537ef2b6e8ca68b", "CC0", "", (".jpg",), ()),
     Source("merkato/odm_boruszyn_kap", "f8e9eaba1a195ebcaab902f100df1edc8534b421", "CC BY 3.0", "", (".jpg",), ()),
     Source("obss/sahi", "9a4e5696bc7995ffc3c075460e14e2d96ae1b412", "MIT", "demo/", (".jpeg", ".jpg"), (0.5, 1.0, 2.0)),
-    Source("openvinotoolkit/open_model_zoo", "7ef5b91f75115a5eec5a67921453d7faaff8f78b", "Apache-2.0",
-           "models/", (".jpg", ".jpeg"), (0.5, 1.0)),
-    Source("dusty-nv/jetson-inference", "45da40a8f3c180191b269f57f736caaa025b8a69", "MIT",
-           "data/images/", (".jpg",), (0.5, 1.0)),
+    Source(
+        "openvinotoolkit/open_model_zoo",
+        "7ef5b91f75115a5eec5a67921453d7faaff8f78b",
+        "Apache-2.0",
+        "models/",
+        (".jpg", ".jpeg"),
+        (0.5, 1.0),
+    ),
+    Source(
+        "dusty-nv/jetson-inference",
+        "45da40a8f3c180191b269f57f736caaa025b8a69",
+        "MIT",
+        "data/images/",
+        (".jpg",),
+        (0.5, 1.0),
+    ),
 )
 
 
 def decoded(output: np.ndarray) -> np.ndarray:
     """Boxes (x0, y0, x1, y1), score and class of the detector's cells."""
-    cells = [np.stack(np.meshgrid(np.arange(INPUT // s), np.arange(INPUT // s)), -1).reshape(-1, 2) for s in (8, 16, 32)]
+    cells = [
+        np.stack(np.meshgrid(np.arange(INPUT // s), np.arange(INPUT // s)), -1).reshape(-1, 2) for s in (8, 16, 32)
+    ]
     strides = np.concatenate([np.full((len(c), 1), s) for c, s in zip(cells, (8, 16, 32))])
     cells = np.concatenate(cells)
     centers = (output[:, :2] + cells) * strides
@@ -112,13 +152,19 @@ def detect(detector: object, image: np.ndarray, scales: tuple[float, ...]) -> np
 
 def images_of(source: Source, root: Path) -> list[tuple[str, np.ndarray]]:
     """Images of a source, in the order of their names; frames of a video at intervals."""
-    folder = next(p for p in (root / source.repository, root / source.repository.replace("/", "+") / "repo") if p.is_dir())
+    folder = next(
+        p for p in (root / source.repository, root / source.repository.replace("/", "+") / "repo") if p.is_dir()
+    )
     git = ["git", "-C", str(folder)]
-    listing = subprocess.run([*git, "ls-tree", "-r", "--name-only", source.commit], capture_output=True, text=True, check=True)
+    listing = subprocess.run(
+        [*git, "ls-tree", "-r", "--name-only", source.commit], capture_output=True, text=True, check=True
+    )
     for name in sorted(listing.stdout.splitlines()):
         if not name.startswith(source.prefix) or not name.lower().endswith(source.endings):
             continue
-        content = subprocess.run([*git, "cat-file", "blob", f"{source.commit}:{name}"], capture_output=True, check=False)
+        content = subprocess.run(
+            [*git, "cat-file", "blob", f"{source.commit}:{name}"], capture_output=True, check=False
+        )
         if content.returncode:
             continue
         if not name.endswith(".mp4"):
@@ -156,7 +202,7 @@ def main() -> None:
         entries = []
         for name, image in images_of(source, arguments.repositories):
             boxes = detect(detector, image, source.scales)[: arguments.most]
-            for k, box in enumerate(boxes):
+            for box in boxes:
                 side = max(box[2] - box[0], box[3] - box[1])
                 if side < LEAST_SIDE:
                     continue

@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Compares the box mask network with MobileSAM as shipped: IoU with truth, error of the lower outline, time.
 
-    python evaluate.py --network box_masks.onnx --frames 6 SEQUENCE ...      # rendered sequences with masks/
-    python evaluate.py --network box_masks.onnx --clips VIDEO ...            # IoU between the two networks
+python evaluate.py --network box_masks.onnx --frames 6 SEQUENCE ...      # rendered sequences with masks/
+python evaluate.py --network box_masks.onnx --clips VIDEO ...            # IoU between the two networks
 """
 
 from __future__ import annotations

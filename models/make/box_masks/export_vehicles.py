@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes the data set's vehicles as plain arrays for `synthesize.py`: triangles, normals, materials, liveries.
 
-    python export_vehicles.py OUTPUT.npz                 # Python 3.11 with dataset/requirements.txt
+python export_vehicles.py OUTPUT.npz                 # Python 3.11 with dataset/requirements.txt
 """
 
 from __future__ import annotations

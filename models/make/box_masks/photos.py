@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Writes photographs of free licenses at a smaller size: objects of any kind for the teacher, grounds for synthesis.
 
-    python photos.py --repositories DIR --output DIR
+python photos.py --repositories DIR --output DIR
 """
 
 from __future__ import annotations
@@ -38,7 +38,9 @@ def main() -> None:
             if number % step or scale > 1.6:
                 continue
             small = cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
-            cv2.imwrite(str(arguments.output / f"{s:02d}_{number:04d}.webp"), small, [cv2.IMWRITE_WEBP_QUALITY, QUALITY])
+            cv2.imwrite(
+                str(arguments.output / f"{s:02d}_{number:04d}.webp"), small, [cv2.IMWRITE_WEBP_QUALITY, QUALITY]
+            )
 
 
 if __name__ == "__main__":

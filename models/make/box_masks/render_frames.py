@@ -4,9 +4,10 @@
 Each scene is a trajectory of the data set with more vehicles of random paint around the target; each frame has a
 camera and a sun of its own. A stopped run resumes: finished frames are kept.
 
-    python render_frames.py --output DIR --scenes 60 --first-seed 100 --frames 12      # Python 3.11 with dataset/requirements.txt
+    python render_frames.py --output DIR --scenes 60 --first-seed 100 --frames 12
 
-writes DIR/NNN_FF.jpg and DIR/NNN_FF.png: 0 background, 10 and more one vehicle each.
+with Python 3.11 and dataset/requirements.txt. Writes DIR/NNN_FF.jpg and DIR/NNN_FF.png: 0 background, 10 and more one
+vehicle each.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ import bpy  # noqa: E402
 import cv2  # noqa: E402
 import numpy as np  # noqa: E402
 from mathutils import Matrix, Vector  # noqa: E402
-from tractrix_dataset import furniture, labels, plan, scene  # noqa: E402
+from tractrix_dataset import labels, plan, scene  # noqa: E402
 from tractrix_dataset.flight import _look_at  # noqa: E402
 from tractrix_dataset.render import RenderOptions, render_frame, set_up  # noqa: E402
 from tractrix_dataset.scenarios import NAMES  # noqa: E402
@@ -102,7 +103,9 @@ def visible_points(camera: np.ndarray, root: bpy.types.Object, length: float) ->
     for along, up in ((0, 0.9), (0.4, 0.7), (-0.4, 0.7), (0.2, 1.0), (-0.2, 1.0)):
         point = np.array(root.matrix_world @ Vector((along * length, 0, up)))
         toward = point - camera
-        hit, _, _, _, thing, _ = bpy.context.scene.ray_cast(graph, Vector(camera), Vector(toward / np.linalg.norm(toward)))
+        hit, _, _, _, thing, _ = bpy.context.scene.ray_cast(
+            graph, Vector(camera), Vector(toward / np.linalg.norm(toward))
+        )
         count += hit and thing is not None and thing.parent == root
     return count
 
@@ -164,8 +167,10 @@ def render_scene(seed: int, frames: int, options: RenderOptions, output: Path) -
     bpy.context.view_layer.update()
     found = label_vehicles(HELD_OUT)
     near = [o for o in found.values() if np.hypot(*(np.array(o.matrix_world.translation)[:2] - pose[:2, 3])) < 45]
-    print(f"scene {seed}: {request.name}, {len(found)} vehicles, {len(added)} added, {time.monotonic() - started:.0f} s",
-          flush=True)
+    print(
+        f"scene {seed}: {request.name}, {len(found)} vehicles, {len(added)} added, {time.monotonic() - started:.0f} s",
+        flush=True,
+    )
     lens = bpy.context.scene.camera.data
     for frame in missing:
         r = rng("box-masks", seed, frame)

@@ -102,7 +102,7 @@ def noise(shape: tuple[int, int], cells: float, r: np.random.Generator) -> np.nd
 
 
 def ground_texture(photos: list[np.ndarray], r: np.random.Generator) -> np.ndarray:
-    """A square linear texture of 24 m at 512 pixels: asphalt with lines, patches and borders, or a photograph's part."""
+    """A square linear texture, 24 m in 512 pixels: asphalt with lines, patches and borders, or part of a photograph."""
     size = 512
     if photos and r.random() < 0.35:
         photo = photos[int(r.integers(len(photos)))]
@@ -124,7 +124,8 @@ def ground_texture(photos: list[np.ndarray], r: np.random.Generator) -> np.ndarr
         color = np.array([0.25, 0.24, 0.22]) * r.uniform(0.4, 2)
         if r.random() < 0.5:
             color = np.array([0.05, 0.10, 0.02]) * r.uniform(0.5, 3)
-        rows = slice(0, int(np.clip(border, 0, size))) if r.random() < 0.5 else slice(int(np.clip(border, 0, size)), size)
+        edge = int(np.clip(border, 0, size))
+        rows = slice(0, edge) if r.random() < 0.5 else slice(edge, size)
         shape = texture[rows].shape
         if shape[0] > 1:
             rough = 1 + 0.35 * noise(shape[:2], 160, r)[..., None] + 0.2 * noise(shape[:2], 20, r)[..., None]
@@ -188,7 +189,8 @@ def scene(garage: Garage, photos: list[np.ndarray], r: np.random.Generator) -> t
     poses, taken = [], []
     for k, name in enumerate(names):
         length, width = garage[f"{name}_size"]
-        heading = r.uniform(0, 2 * np.pi) if k == 0 or r.random() < 0.3 else taken[0][3] + r.choice([0, np.pi]) + r.normal(0, 0.05)
+        is_free = k == 0 or r.random() < 0.3
+        heading = r.uniform(0, 2 * np.pi) if is_free else taken[0][3] + r.choice([0, np.pi]) + r.normal(0, 0.05)
         for _ in range(20):
             at = np.zeros(2) if k == 0 else r.normal(0, 6, 2)
             c, s = np.cos(taken[0][3] if taken else 0), np.sin(taken[0][3] if taken else 0)
@@ -341,7 +343,8 @@ def background(
     u, v = (np.where(on_ground, w, 0).astype(np.float32) for w in (u, v))
     # The pixel on the ground may be larger than that of the texture.
     blur = max(0.01, 0.4 * np.linalg.norm(camera) / focal * 512 / 24)
-    colors = cv2.remap(cv2.GaussianBlur(texture, (0, 0), blur), u % 512, v % 512, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    texture = cv2.GaussianBlur(texture, (0, 0), blur)
+    colors = cv2.remap(texture, u % 512, v % 512, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     behind = np.tile(sky * 0.7, (side, side, 1)).astype(np.float32)
     if photos and r.random() < 0.85:
         photo = photos[int(r.integers(len(photos)))]
@@ -397,7 +400,8 @@ def main() -> None:
     arguments = parser.parse_args()
     arguments.output.mkdir(parents=True, exist_ok=True)
     photos = sorted(arguments.photos.glob("*.webp"))
-    jobs = [(arguments.output / f"synthetic_{k:05d}.npz", arguments.vehicles, photos, k) for k in range(arguments.files)]
+    names = [arguments.output / f"synthetic_{k:05d}.npz" for k in range(arguments.files)]
+    jobs = [(name, arguments.vehicles, photos, k) for k, name in enumerate(names)]
     with ProcessPoolExecutor(arguments.processes) as pool:
         print("tiles:", sum(pool.map(work, jobs)), flush=True)
 

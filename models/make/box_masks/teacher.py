@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import onnxruntime
+from crops import iou
 
 MODELS = Path(__file__).resolve().parents[2]
 MEAN, STD = np.array([123.675, 116.28, 103.53]), np.array([58.395, 57.12, 57.375])
@@ -60,8 +61,6 @@ class Teacher:
                 continue
             own = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]) * 4.0
             asked = (box.reshape(2, 2) - (x0, y0)) * scales
-            from crops import iou
-
             quality = min(1.0, float(score)) * stable * min(1.0, iou(own, asked.ravel()) / AGREEMENT)
             if best is None or quality > best[1]:
                 best = (logits, quality)

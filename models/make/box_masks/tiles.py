@@ -20,7 +20,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-from crops import MARGIN, MAX_STRETCH, TILE, TILE_MARGIN, box_of, cut, iou, window  # noqa: F401
+from crops import TILE, TILE_MARGIN, box_of, cut, iou, window
 from teacher import Teacher
 
 FIRST_LABEL = 10

@@ -61,7 +61,9 @@ def uniform(count: int, low: float, high: float, like: torch.Tensor) -> torch.Te
     return torch.rand(count, device=like.device) * (high - low) + low
 
 
-def crop_grid(box: torch.Tensor, scale: torch.Tensor, side: int, flip: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def crop_grid(
+    box: torch.Tensor, scale: torch.Tensor, side: int, flip: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
     """Sampling grid of the crop around a box of a tile, and the crop (x0, y0, x1, y1) in the tile's pixels."""
     width = (box[:, 2] - box[:, 0]) / scale[:, 0]
     height = (box[:, 3] - box[:, 1]) / scale[:, 1]
