@@ -13,7 +13,9 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use rustix::time::{ClockId, clock_gettime};
-use tractrix::networks::{BoxSegmenter, GrabCut, PromptOptions, default_models, load_box_segmenter};
+use tractrix::networks::{
+    BoxSegmenter, GrabCut, PromptOptions, default_models, load_box_segmenter, load_small_box_segmenter,
+};
 use tractrix::scene::{Mask, Rect};
 use tractrix::video::Source;
 
@@ -53,6 +55,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         let mut network = load_box_segmenter(&models.mask_encoder, &models.mask_decoder, &options, 1)?;
         print(name, &cases, network.as_mut())?;
     }
+    print("small network", &cases, load_small_box_segmenter(&models.small_masks, &usual, 1)?.as_mut())?;
     print("GrabCut", &cases, &mut GrabCut::new(&usual))
 }
 

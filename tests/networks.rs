@@ -7,6 +7,7 @@ use image::RgbImage;
 use tractrix::ffi::onnx::{self, Provider, Resources};
 use tractrix::networks::{
     BoxSegmenter, DetectorOptions, GrabCut, PromptOptions, default_models, load_box_segmenter, load_detector,
+    load_small_box_segmenter,
 };
 use tractrix::scene::{BoxDetection, Mask, Rect};
 use tractrix::video::Source;
@@ -79,6 +80,28 @@ fn the_shipped_mask_network_outlines_the_vehicle_from_its_box() {
         assert!((found.quality - iou).abs() < 0.2, "frame {number}: quality {} for IoU {iou:.3}", found.quality);
     }
     assert!(!prompter.is_coarse());
+}
+
+#[test]
+fn the_small_mask_network_outlines_the_vehicle_from_its_box_and_from_a_loose_one() {
+    if !can_run() {
+        return;
+    }
+    let path = default_models().unwrap().small_masks;
+    let mut small = load_small_box_segmenter(&path, &PromptOptions::default(), 1).unwrap();
+    for number in [10, 40] {
+        let (mask, rect) = truth(number);
+        let loose = Rect { x0: rect.x0 - 0.3 * rect.width(), y1: rect.y1 + 0.2 * rect.height(), ..rect };
+        let found = small.masks(&frame(number), &[rect, loose]).unwrap();
+        let iou = found[0].as_ref().unwrap().mask.iou(&mask);
+        assert!(iou >= 0.9, "frame {number}: mask IoU {iou:.3}");
+        let loose = found[1].as_ref().map(|found| found.mask.iou(&mask));
+        assert!(loose.is_none_or(|iou| iou >= 0.8), "frame {number}, loose box: mask IoU {loose:?}");
+    }
+    assert!(!small.is_coarse());
+    let decoder = default_models().unwrap().mask_decoder;
+    let refused = load_small_box_segmenter(&decoder, &PromptOptions::default(), 1).err().unwrap().to_string();
+    assert!(refused.contains("crop [n, 4, 128, 128]"), "{refused}");
 }
 
 #[test]

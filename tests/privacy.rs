@@ -200,7 +200,8 @@ fn a_copied_program_takes_nothing_from_folders_above_it_nor_from_where_it_was_bu
     fs::create_dir(folder.path().join("bin")).unwrap();
     let built = env!("CARGO_BIN_EXE_tractrix");
     fs::hard_link(built, &program).or_else(|_| fs::copy(built, &program).map(drop)).unwrap();
-    for file in ["libonnxruntime.so", "yolox_nano.onnx", "mobile_sam_encoder.onnx", "mobile_sam_decoder.onnx"] {
+    let networks = ["yolox_nano.onnx", "mobile_sam_encoder.onnx", "mobile_sam_decoder.onnx", "box_masks.onnx"];
+    for file in networks.into_iter().chain(["libonnxruntime.so"]) {
         for place in [planted.join(std::env::consts::ARCH), folder.path().join("models")] {
             fs::create_dir_all(&place).unwrap();
             fs::write(place.join(file), "planted").unwrap();

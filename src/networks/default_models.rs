@@ -16,6 +16,8 @@ use crate::ffi::environment;
 const VARIABLE: &str = "TRACTRIX_MODELS";
 /// File of the detector.
 const DETECTOR: &str = "yolox_nano.onnx";
+/// File of the small mask network.
+const SMALL_MASKS: &str = "box_masks.onnx";
 /// Files of the two parts of the mask network.
 const MASK_ENCODER: &str = "mobile_sam_encoder.onnx";
 const MASK_DECODER: &str = "mobile_sam_decoder.onnx";
@@ -29,6 +31,8 @@ pub struct DefaultModels {
     pub mask_encoder: PathBuf,
     /// Its second part.
     pub mask_decoder: PathBuf,
+    /// Small network for the same: for [`load_small_box_segmenter`](super::load_small_box_segmenter).
+    pub small_masks: PathBuf,
 }
 
 impl DefaultModels {
@@ -37,12 +41,13 @@ impl DefaultModels {
             detector: folder.join(DETECTOR),
             mask_encoder: folder.join(MASK_ENCODER),
             mask_decoder: folder.join(MASK_DECODER),
+            small_masks: folder.join(SMALL_MASKS),
         }
     }
 
     /// All files.
-    pub fn files(&self) -> [&Path; 3] {
-        [&self.detector, &self.mask_encoder, &self.mask_decoder]
+    pub fn files(&self) -> [&Path; 4] {
+        [&self.detector, &self.mask_encoder, &self.mask_decoder, &self.small_masks]
     }
 
     /// The first file that is not there.
@@ -127,7 +132,8 @@ mod tests {
     fn the_first_folder_with_all_files_serves_and_others_are_told() {
         let folder = tempfile::tempdir().unwrap();
         let (half, whole) = (folder.path().join("half"), folder.path().join("whole"));
-        for (place, files) in [(&half, &[DETECTOR][..]), (&whole, &[DETECTOR, MASK_ENCODER, MASK_DECODER])] {
+        for (place, files) in [(&half, &[DETECTOR][..]), (&whole, &[DETECTOR, MASK_ENCODER, MASK_DECODER, SMALL_MASKS])]
+        {
             std::fs::create_dir(place).unwrap();
             files.iter().for_each(|file| std::fs::write(place.join(file), "").unwrap());
         }
@@ -144,7 +150,7 @@ mod tests {
         let described = default_descriptions().unwrap();
         let mut files: Vec<&str> = described.iter().map(|d| d.file.as_str()).collect();
         files.sort_unstable();
-        assert_eq!(files, [MASK_DECODER, MASK_ENCODER, DETECTOR]);
+        assert_eq!(files, [SMALL_MASKS, MASK_DECODER, MASK_ENCODER, DETECTOR]);
         assert!(described.iter().all(|d| d.sha256.len() == 64 && !d.changes.is_empty()));
     }
 }

@@ -103,8 +103,8 @@ mod tests {
             return;
         }
         let models = Path::new(env!("CARGO_MANIFEST_DIR")).join("models");
-        let files = ["yolox_nano.onnx", "mobile_sam_encoder.onnx", "mobile_sam_decoder.onnx"];
-        let inputs: [&[Tensor]; 3] = [
+        let files = ["yolox_nano.onnx", "mobile_sam_encoder.onnx", "mobile_sam_decoder.onnx", "box_masks.onnx"];
+        let inputs: [&[Tensor]; 4] = [
             &[waves(&[1, 3, 96, 128])],
             &[waves(&[1, 3, 96, 128])],
             &[
@@ -112,6 +112,7 @@ mod tests {
                 Tensor { shape: vec![1, 2, 2], values: vec![20.0, 10.0, 90.0, 70.0] },
                 Tensor { shape: vec![1, 2], values: vec![2.0, 3.0] },
             ],
+            &[waves(&[1, 4, 128, 128])],
         ];
         for (file, inputs) in files.map(|name| models.join(name)).iter().zip(inputs) {
             let load = |provider| Model::load(file, Resources { provider, ..Resources::from(1) }).unwrap();

@@ -19,6 +19,7 @@ use std::path::Path;
 
 use ::image::RgbImage;
 
+use super::local::Local;
 use super::options::PromptOptions;
 use super::outline::one_part;
 use super::window::{Placement, Share, Window, shares};
@@ -248,34 +249,6 @@ fn best(
 struct Offer {
     mask: Local,
     quality: f64,
-}
-
-/// A mask of a part of the frame.
-struct Local {
-    window: Window,
-    mask: Mask,
-}
-
-impl Local {
-    /// The box round its pixels, in the frame.
-    fn rect(&self) -> Option<Rect> {
-        let inner = Rect::from(self.mask.bounding_box()?);
-        let [x, y] = [self.window.x0, self.window.y0].map(f64::from);
-        Some(Rect { x0: inner.x0 + x, y0: inner.y0 + y, x1: inner.x1 + x, y1: inner.y1 + y })
-    }
-
-    /// The same pixels in the whole frame.
-    fn in_frame(&self, (width, height): (u32, u32)) -> Mask {
-        let mut all = Mask::empty(width, height);
-        for y in 0..self.window.height {
-            for x in 0..self.window.width {
-                if self.mask.get(i64::from(x), i64::from(y)) {
-                    all.set(self.window.x0 + x, self.window.y0 + y, true);
-                }
-            }
-        }
-        all
-    }
 }
 
 /// The mask that a plane of logits says, if it passes the gates: enough of what is marked lies at the box, it fills

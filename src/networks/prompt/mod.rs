@@ -1,7 +1,10 @@
 //! Masks of boxes: which pixels of a box are the object.
 
+mod box_net;
+mod cascade;
 mod grabcut;
 mod known;
+mod local;
 mod mobile_sam;
 mod options;
 mod outline;
@@ -9,6 +12,8 @@ mod window;
 
 use ::image::RgbImage;
 
+pub use self::box_net::load_small_box_segmenter;
+pub use self::cascade::Cascade;
 pub use self::grabcut::GrabCut;
 pub use self::known::KnownMasks;
 pub use self::mobile_sam::load_box_segmenter;

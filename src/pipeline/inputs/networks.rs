@@ -7,8 +7,8 @@ use serde_json::{Value, json};
 
 use crate::ffi::onnx::{self, Provider};
 use crate::networks::{
-    BoxSegmenter, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
-    load_box_segmenter, load_detector,
+    BoxSegmenter, Cascade, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
+    load_box_segmenter, load_detector, load_small_box_segmenter,
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
@@ -19,8 +19,10 @@ use crate::pipeline::{DetectorChoice, MaskChoice, Options, PipelineError};
 pub(in crate::pipeline) struct Networks {
     /// The detector.
     pub(in crate::pipeline) detector: Option<PathBuf>,
-    /// The two parts of the mask network.
-    masks: Option<[PathBuf; 2]>,
+    /// The small mask network.
+    small_masks: Option<PathBuf>,
+    /// The two parts of `MobileSAM`.
+    mobile_sam: Option<[PathBuf; 2]>,
     /// Missing networks, with the consequence.
     pub(in crate::pipeline) doubts: Vec<String>,
 }
@@ -37,7 +39,7 @@ impl Networks {
     /// * `shipped` – the networks that come with the program, or why they cannot be used.
     fn chosen(options: &Options, shipped: Result<DefaultModels, PerceptionError>) -> Result<Self, PerceptionError> {
         let is_needed = matches!(options.vehicles.detector, DetectorChoice::Default)
-            || matches!(options.vehicles.mask_network, MaskChoice::Default);
+            || options.vehicles.mask_network != MaskChoice::None;
         let shipped = match shipped {
             Err(error) if is_needed && error.is_of_choice() => return Err(error),
             shipped => shipped.map_err(|error| error.to_string()),
@@ -53,12 +55,19 @@ impl Networks {
                 default("no detector: vehicles are detected by motion only").map(|found| found.detector)
             }
         };
-        let masks = match options.vehicles.mask_network {
+        let choice = options.vehicles.mask_network;
+        let masks = match choice {
             MaskChoice::None => None,
-            MaskChoice::Default => default("no mask network: masks are by color only")
-                .map(|found| [found.mask_encoder, found.mask_decoder]),
+            _ => default("no mask network: masks are by color only"),
         };
-        Ok(Self { detector, masks, ..networks })
+        let (small_masks, mobile_sam) =
+            masks.map(|found| (found.small_masks, [found.mask_encoder, found.mask_decoder])).unzip();
+        Ok(Self {
+            detector,
+            small_masks: small_masks.filter(|_| choice != MaskChoice::MobileSam),
+            mobile_sam: mobile_sam.filter(|_| choice != MaskChoice::Small),
+            ..networks
+        })
     }
 
     /// The detector, where there is one.
@@ -67,12 +76,25 @@ impl Networks {
         Ok(self.detector.as_deref().map(load).transpose()?)
     }
 
-    /// Segmenter of boxes: the mask network, or colors alone.
+    /// Files of the mask networks.
+    fn mask_files(&self) -> Vec<PathBuf> {
+        self.small_masks.iter().chain(self.mobile_sam.iter().flatten()).cloned().collect()
+    }
+
+    /// Segmenter of boxes: mask networks, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>, PipelineError> {
-        let options = &run.options.prompt;
-        Ok(match &self.masks {
-            Some([encoder, decoder]) => load_box_segmenter(encoder, decoder, options, run.options.resources())?,
-            None => Box::new(GrabCut::new(options)),
+        let (options, resources) = (run.options.prompt.clone(), run.options.resources());
+        let small =
+            self.small_masks.as_ref().map(|path| load_small_box_segmenter(path, &options, resources)).transpose()?;
+        let mobile_sam = self.mobile_sam.clone().map(|[encoder, decoder]| {
+            let options = options.clone();
+            move || load_box_segmenter(&encoder, &decoder, &options, resources)
+        });
+        Ok(match (small, mobile_sam) {
+            (Some(small), Some(mobile_sam)) => Box::new(Cascade::new(small, mobile_sam)),
+            (Some(small), None) => small,
+            (None, Some(mobile_sam)) => mobile_sam()?,
+            (None, None) => Box::new(GrabCut::new(&options)),
         })
     }
 
@@ -92,7 +114,7 @@ impl Networks {
     /// # Errors
     /// As [`Self::load_box_segmenter`].
     pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
-        match came_with_the_program(self.masks.as_ref().map_or(&[], |parts| &parts[..]), "box-masks")? {
+        match came_with_the_program(&self.mask_files(), "box-masks")? {
             true => Ok(()),
             false => self.load_box_segmenter(run).map(drop),
         }
@@ -105,7 +127,7 @@ impl Networks {
 
     /// Inputs of the masks of boxes.
     pub(in crate::pipeline) fn fingerprint_of_masks(&self, run: &Run) -> Result<Value, PipelineError> {
-        of_networks(run, self.masks.as_ref().map_or(&[], |parts| &parts[..]))
+        of_networks(run, &self.mask_files())
     }
 }
 
@@ -145,8 +167,8 @@ mod tests {
     use crate::ffi::onnx::OnnxError;
 
     fn there() -> DefaultModels {
-        let [detector, mask_encoder, mask_decoder] = ["d", "e", "f"].map(PathBuf::from);
-        DefaultModels { detector, mask_encoder, mask_decoder }
+        let [detector, mask_encoder, mask_decoder, small_masks] = ["d", "e", "f", "s"].map(PathBuf::from);
+        DefaultModels { detector, mask_encoder, mask_decoder, small_masks }
     }
 
     fn missing() -> PerceptionError {
@@ -173,7 +195,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_said_and_stood_in_for() {
         let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
-        assert!(networks.detector.is_none() && networks.masks.is_none());
+        assert!(networks.detector.is_none() && networks.mask_files().is_empty());
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
         assert!(detector.contains("motion only") && masks.contains("color only"));
         assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("folder not found")));
@@ -181,12 +203,13 @@ mod tests {
 
     #[test]
     fn a_shipped_network_is_known_for_its_own_task_alone() {
-        let Ok(DefaultModels { detector, mask_encoder, mask_decoder }) = default_models() else {
+        let Ok(DefaultModels { detector, mask_encoder, mask_decoder, small_masks }) = default_models() else {
             println!("skipped: no networks beside the program");
             return;
         };
         let known = |file: &PathBuf, task| came_with_the_program(std::slice::from_ref(file), task).unwrap();
         assert!(known(&detector, "boxes") && known(&mask_encoder, "box-masks") && known(&mask_decoder, "box-masks"));
+        assert!(known(&small_masks, "box-masks"));
         assert!(!known(&mask_decoder, "boxes") && !known(&detector, "box-masks"));
     }
 
@@ -195,11 +218,16 @@ mod tests {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
         let networks = Networks::chosen(&options, Ok(there())).unwrap();
-        assert!(networks.detector.is_none() && networks.masks.is_some() && networks.doubts.is_empty());
+        assert!(networks.detector.is_none() && networks.mask_files().len() == 3 && networks.doubts.is_empty());
+        for (choice, files) in [(MaskChoice::Small, &["s"][..]), (MaskChoice::MobileSam, &["e", "f"])] {
+            options.vehicles.mask_network = choice;
+            let found = Networks::chosen(&options, Ok(there())).unwrap().mask_files();
+            assert_eq!(found, files.iter().map(PathBuf::from).collect::<Vec<_>>());
+        }
         options.vehicles.detector = DetectorChoice::File("mine.onnx".into());
         options.vehicles.mask_network = MaskChoice::None;
         let networks = Networks::chosen(&options, Err(missing())).unwrap();
         assert_eq!(networks.detector, Some("mine.onnx".into()));
-        assert!(networks.masks.is_none() && networks.doubts.is_empty());
+        assert!(networks.mask_files().is_empty() && networks.doubts.is_empty());
     }
 }

@@ -38,9 +38,13 @@ impl FromStr for DetectorChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskChoice {
-    /// Bundled network.
+    /// Small bundled network; `MobileSAM` for the boxes of which it is unsure.
     #[default]
     Default,
+    /// Small bundled network alone: the fastest.
+    Small,
+    /// `MobileSAM` alone: the slowest.
+    MobileSam,
     /// Coarse masks from colors (`GrabCut`).
     None,
 }
@@ -59,12 +63,14 @@ pub enum MotionChoice {
 impl FromStr for MaskChoice {
     type Err = String;
 
-    /// `default` or `none`.
+    /// `default`, `small`, `mobile-sam` or `none`.
     fn from_str(text: &str) -> Result<Self, String> {
         match text {
             "default" => Ok(Self::Default),
+            "small" => Ok(Self::Small),
+            "mobile-sam" => Ok(Self::MobileSam),
             "none" => Ok(Self::None),
-            _ => Err(format!("'{text}': expected default or none")),
+            _ => Err(format!("'{text}': expected default, small, mobile-sam or none")),
         }
     }
 }
