@@ -47,9 +47,8 @@ pub(super) struct JobArgs {
     /// Detection of vehicles by motion: `on` (default) or `off`
     #[arg(long, value_name = "on|off", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) motion: Option<MotionChoice>,
-    /// Mask network: `default` (small network, MobileSAM where it is unsure), `small`, `mobile-sam`, or `none` (coarse
-    /// masks by color)
-    #[arg(long, value_name = "NAME", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    /// Mask network: `default` (MobileSAM), `small` (faster), or `none` (coarse masks by color)
+    #[arg(long, value_name = "default|small|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) mask_network: Option<MaskChoice>,
     /// Interval of the mask network, frames; optical flow propagates masks in between [default: 0.4 seconds]
     #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]

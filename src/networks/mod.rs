@@ -23,7 +23,7 @@ pub use self::error::PerceptionError;
 pub use self::flow::{DisFlow, DisPreset, FlowEstimator, FlowOptions, OnnxFlow, load_flow};
 pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
 pub use self::prompt::{
-    BoxMask, BoxSegmenter, Cascade, GrabCut, KnownMasks, PromptOptions, load_box_segmenter, load_small_box_segmenter,
+    BoxMask, BoxSegmenter, GrabCut, KnownMasks, PromptOptions, load_box_segmenter, load_small_box_segmenter,
 };
 pub use self::segmentation::{
     Detector, DetectorOptions, SegmentationOptions, Segmenter, Tiling, load_detector, load_segmenter,

@@ -1,7 +1,6 @@
 //! Masks of boxes: which pixels of a box are the object.
 
 mod box_net;
-mod cascade;
 mod grabcut;
 mod known;
 mod local;
@@ -13,7 +12,6 @@ mod window;
 use ::image::RgbImage;
 
 pub use self::box_net::load_small_box_segmenter;
-pub use self::cascade::Cascade;
 pub use self::grabcut::GrabCut;
 pub use self::known::KnownMasks;
 pub use self::mobile_sam::load_box_segmenter;

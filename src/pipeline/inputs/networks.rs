@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::ffi::onnx::{self, Provider};
 use crate::networks::{
-    BoxSegmenter, Cascade, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
+    BoxSegmenter, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
     load_box_segmenter, load_detector, load_small_box_segmenter,
 };
 use crate::pipeline::driver::fingerprint;
@@ -64,8 +64,8 @@ impl Networks {
             masks.map(|found| (found.small_masks, [found.mask_encoder, found.mask_decoder])).unzip();
         Ok(Self {
             detector,
-            small_masks: small_masks.filter(|_| choice != MaskChoice::MobileSam),
-            mobile_sam: mobile_sam.filter(|_| choice != MaskChoice::Small),
+            small_masks: small_masks.filter(|_| choice == MaskChoice::Small),
+            mobile_sam: mobile_sam.filter(|_| choice == MaskChoice::Default),
             ..networks
         })
     }
@@ -83,18 +83,11 @@ impl Networks {
 
     /// Segmenter of boxes: mask networks, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>, PipelineError> {
-        let (options, resources) = (run.options.prompt.clone(), run.options.resources());
-        let small =
-            self.small_masks.as_ref().map(|path| load_small_box_segmenter(path, &options, resources)).transpose()?;
-        let mobile_sam = self.mobile_sam.clone().map(|[encoder, decoder]| {
-            let options = options.clone();
-            move || load_box_segmenter(&encoder, &decoder, &options, resources)
-        });
-        Ok(match (small, mobile_sam) {
-            (Some(small), Some(mobile_sam)) => Box::new(Cascade::new(small, mobile_sam)),
-            (Some(small), None) => small,
-            (None, Some(mobile_sam)) => mobile_sam()?,
-            (None, None) => Box::new(GrabCut::new(&options)),
+        let (options, resources) = (&run.options.prompt, run.options.resources());
+        Ok(match (&self.small_masks, &self.mobile_sam) {
+            (Some(small), _) => load_small_box_segmenter(small, options, resources)?,
+            (None, Some([encoder, decoder])) => load_box_segmenter(encoder, decoder, options, resources)?,
+            (None, None) => Box::new(GrabCut::new(options)),
         })
     }
 
@@ -218,8 +211,8 @@ mod tests {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
         let networks = Networks::chosen(&options, Ok(there())).unwrap();
-        assert!(networks.detector.is_none() && networks.mask_files().len() == 3 && networks.doubts.is_empty());
-        for (choice, files) in [(MaskChoice::Small, &["s"][..]), (MaskChoice::MobileSam, &["e", "f"])] {
+        assert!(networks.detector.is_none() && networks.mask_files().len() == 2 && networks.doubts.is_empty());
+        for (choice, files) in [(MaskChoice::Small, &["s"][..]), (MaskChoice::Default, &["e", "f"])] {
             options.vehicles.mask_network = choice;
             let found = Networks::chosen(&options, Ok(there())).unwrap().mask_files();
             assert_eq!(found, files.iter().map(PathBuf::from).collect::<Vec<_>>());
