@@ -41,7 +41,7 @@ pub enum MaskChoice {
     /// Bundled network.
     #[default]
     Default,
-    /// Small bundled network: a fortieth of the time; untested on many real scenes.
+    /// Small bundled network: a fifteenth of the time; untested on many real scenes.
     Small,
     /// Coarse masks from colors (`GrabCut`).
     None,
