@@ -19,8 +19,8 @@ use std::path::Path;
 
 use ::image::RgbImage;
 
-use super::options::PromptOptions;
 use super::local::Local;
+use super::options::PromptOptions;
 use super::outline::one_part;
 use super::window::{Placement, Share, Window, shares};
 use super::{BoxMask, BoxSegmenter, agreement, visible};
