@@ -41,7 +41,7 @@ pub enum MaskChoice {
     /// Bundled network `MobileSAM`.
     #[default]
     Default,
-    /// Small bundled network: a fortieth of the time, and other outlines on real images.
+    /// Small bundled network: a fifteenth of the time, and other outlines on real images.
     Small,
     /// Coarse masks from colors (`GrabCut`).
     None,
