@@ -102,7 +102,7 @@ mod tests {
             let data = [head, &[7; 3000][..]].concat();
             let path = write(&data[..], folder.path(), &[]).unwrap();
             assert_eq!(fs::read(&path).unwrap(), data);
-            assert_eq!(recordings(folder.path()).unwrap(), [path.clone()]);
+            assert_eq!(recordings(folder.path()).unwrap(), std::slice::from_ref(&path));
             path.extension().unwrap().to_string_lossy().into_owned()
         };
         assert_eq!(of(&ts), "ts");
