@@ -151,7 +151,7 @@ fn runtime(provider: Provider) -> Finding {
                 ONNX,
                 state,
                 error.to_string(),
-                "required by networks; install it with scripts/fetch-onnxruntime, or run with --provider rust or --masks",
+                "required by networks; install it with scripts/fetch-onnxruntime, or give --provider rust or --masks",
             );
         }
     };

@@ -24,8 +24,8 @@
 //!   plus its own velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, an object that
 //!   appears there is new and remembers its [`Predecessor`]; [`merging`] decides by more evidence.
 //!
-//! Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]). [`support`]
-//! says which objects are vehicles enough for a trajectory.
+//! Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]);
+//! [`support`] says which objects are vehicles enough for a trajectory.
 //!
 //! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives
 //! the same ids.

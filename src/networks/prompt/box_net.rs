@@ -1,8 +1,8 @@
 //! Masks of boxes by the program's own small network (`models/box_masks.md`): one crop per box, one run per crop.
 //!
-//! In: crop [1, 4, 128, 128]: RGB, (v − 128) / 64, and a box channel: 1 in the box, 0 around it, −1 beyond the border of
-//! the frame. Out: logits [1, 1, 128, 128] and the expected overlap with the truth, [1, 1]. The box lies in the middle
-//! of its crop, which has [`MARGIN`] times its sides; `models/make/box_masks/crops.py` has the same geometry.
+//! In: crop [1, 4, 128, 128]: RGB, (v − 128) / 64, and a box channel: 1 in the box, 0 around it, −1 beyond the border
+//! of the frame. Out: logits [1, 1, 128, 128] and the expected overlap with the truth, [1, 1]. The box lies in the
+//! middle of its crop, which has [`MARGIN`] times its sides; `models/make/box_masks/crops.py` has the same geometry.
 
 use std::path::Path;
 
