@@ -13,6 +13,8 @@ use crate::io::{OwnedFolder, RunFolder};
 pub(super) const STDIN: &str = "-";
 /// Name of the recording without its extension.
 const STEM: &str = "recording";
+/// Extensions that [`extension`] gives; other files of that stem are not the program's.
+const EXTENSIONS: [&str; 9] = ["mkv", "mp4", "y4m", "avi", "flv", "ts", "h264", "h265", "video"];
 /// Bytes by which the container is recognized: two packets of an MPEG transport stream and more.
 const HEAD_BYTES: usize = 1024;
 
@@ -41,7 +43,11 @@ pub(super) fn record(output: &Path, overwrite: bool) -> Result<PathBuf, Failure>
 /// Recordings in a folder.
 fn recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<PathBuf>>>()?;
-    Ok(paths.into_iter().filter(|path| path.file_stem().is_some_and(|stem| stem == STEM) && path.is_file()).collect())
+    let is_recording = |path: &PathBuf| {
+        let is_own = EXTENSIONS.iter().any(|end| path.extension().is_some_and(|found| found == *end));
+        is_own && path.file_stem().is_some_and(|stem| stem == STEM) && path.is_file()
+    };
+    Ok(paths.into_iter().filter(is_recording).collect())
 }
 
 /// Writes the recording; earlier ones go when there is something to write.
@@ -116,6 +122,7 @@ mod tests {
     #[test]
     fn nothing_is_no_video() {
         let folder = tempfile::tempdir().unwrap();
+        fs::write(folder.path().join("recording.csv"), "of the user").unwrap();
         let earlier = write(&b"FLV"[..], folder.path(), &[]).unwrap();
         let error = write(&b""[..], folder.path(), std::slice::from_ref(&earlier)).unwrap_err();
         assert!(error.to_string().contains("standard input is empty"));

@@ -1,5 +1,5 @@
-//! The masks of all objects, frame by frame, as later stages read them: run lengths, which are read in a twentieth of
-//! the time that a PNG image takes.
+//! The masks of all objects, frame by frame, as later stages read them: run lengths, so that the PNG images are decoded
+//! once.
 
 use std::path::{Path, PathBuf};
 
