@@ -65,6 +65,9 @@ pub enum ReportError {
         /// Why.
         source: image::ImageError,
     },
+    /// OpenCV refuses to shrink a picture.
+    #[error("picture of the report: cannot be shrunk: {0}")]
+    Shrink(#[from] crate::image::ImageError),
     /// The film of the page cannot be written.
     #[error("film of the report: cannot be written: {0}")]
     Film(FfmpegError),

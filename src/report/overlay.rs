@@ -1,10 +1,11 @@
 //! Masks drawn over pictures, and the small pictures of the frame strip.
 
 use image::codecs::jpeg::JpegEncoder;
-use image::{Rgb, RgbImage, imageops};
+use image::{Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
 
 use super::ReportError;
+use crate::image::{ImageError, resize_rgb_quickly};
 use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 
 /// Longer side of a strip picture, pixels.
@@ -162,7 +163,7 @@ impl Thumbnail {
 
     /// As [`Self::new`], of silhouettes.
     pub(super) fn of(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
-        let small = drawn(shrunk(picture, THUMBNAIL_SIDE), silhouettes);
+        let small = drawn(shrunk(picture, THUMBNAIL_SIDE)?, silhouettes);
         let (width, height) = small.dimensions();
         let mut jpeg = Vec::new();
         JpegEncoder::new_with_quality(&mut jpeg, THUMBNAIL_QUALITY)
@@ -174,9 +175,9 @@ impl Thumbnail {
 }
 
 /// A picture whose longer side is at most `longer` pixels; what is small already stays as it is.
-pub(super) fn shrunk(picture: &RgbImage, longer: u32) -> RgbImage {
+pub(super) fn shrunk(picture: &RgbImage, longer: u32) -> Result<RgbImage, ImageError> {
     let (width, height) = shrunk_size(picture.dimensions(), longer);
-    if (width, height) == picture.dimensions() { picture.clone() } else { imageops::thumbnail(picture, width, height) }
+    resize_rgb_quickly(picture, width, height)
 }
 
 fn shrunk_size((width, height): (u32, u32), longer: u32) -> (u32, u32) {

@@ -94,10 +94,10 @@ impl PictureMaker {
             self.strip.push(Thumbnail::of(frame, picture, &silhouettes)?);
         }
         for silhouette in &silhouettes {
-            self.keep_portrait(picture, silhouette);
+            self.keep_portrait(picture, silhouette)?;
         }
         if self.of_film.contains(&frame) && self.film.is_some() {
-            match self.add_to_film(frame, picture, &silhouettes) {
+            match self.add_to_film(frame, shrunk(picture, FILM_SIDE)?, &silhouettes) {
                 // Without such an encoder the page has the strip.
                 Err(FfmpegError::NoEncoder | FfmpegError::Encoder(_)) => self.film = None,
                 Err(source) => return Err(ReportError::Film(source)),
@@ -107,13 +107,8 @@ impl PictureMaker {
         Ok(())
     }
 
-    fn add_to_film(
-        &mut self,
-        frame: FrameId,
-        picture: &RgbImage,
-        silhouettes: &[Silhouette],
-    ) -> Result<(), FfmpegError> {
-        let mut small = drawn(shrunk(picture, FILM_SIDE), silhouettes);
+    fn add_to_film(&mut self, frame: FrameId, small: RgbImage, silhouettes: &[Silhouette]) -> Result<(), FfmpegError> {
+        let mut small = drawn(small, silhouettes);
         let film = self.film.get_or_insert_default();
         let encoder = match &mut self.encoder {
             Some(encoder) => encoder,
@@ -133,15 +128,16 @@ impl PictureMaker {
     }
 
     /// Keeps the part of a picture that a mask shows, if it shows more of the vehicle than those before.
-    fn keep_portrait(&mut self, picture: &RgbImage, silhouette: &Silhouette) {
+    fn keep_portrait(&mut self, picture: &RgbImage, silhouette: &Silhouette) -> Result<(), ReportError> {
         let Silhouette { id, bounds: found, .. } = *silhouette;
         let area = u64::from(found.x1 - found.x0) * u64::from(found.y1 - found.y0);
         if self.portraits.get(&id).is_some_and(|(largest, _)| area <= *largest) {
-            return;
+            return Ok(());
         }
         let BoundingBox { x0, y0, x1, y1 } = with_border(found, picture.dimensions());
         let cut = imageops::crop_imm(picture, x0, y0, x1 - x0, y1 - y0).to_image();
-        self.portraits.insert(id, (area, shrunk(&cut, PORTRAIT_SIDE)));
+        self.portraits.insert(id, (area, shrunk(&cut, PORTRAIT_SIDE)?));
+        Ok(())
     }
 
     /// The pictures.

@@ -2,10 +2,10 @@
 //! first sight.
 //!
 //! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
-//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade with a forward-backward check
-//! (`following`), and then aligned with the patch that was cut when it was found ([`super::patch`]), which
-//! keeps long tracks from drifting. A point that Lucas-Kanade loses is looked for again where its neighbours'
-//! motion leads. Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
+//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade (`point_tracking`), and then aligned with
+//! the patch that was cut when it was found ([`super::patch`]), which keeps long tracks from drifting and shows whether
+//! the point is still seen. A point that Lucas-Kanade loses is looked for again where its neighbours' motion leads.
+//! Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
 //!
 //! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
 //! `bridge`).
@@ -69,8 +69,6 @@ pub struct VideoOptions {
     pub pyramid_levels: i32,
     /// Where a point that was followed before is looked for first.
     pub first_look: FirstLook,
-    /// Largest distance between a point and where tracking back from its successor leads.
-    pub max_round_trip_px: f32,
     /// Smallest correlation with the first patch.
     #[schemars(extend("unit" = "correlation"))]
     pub min_correlation: f32,
@@ -108,7 +106,6 @@ impl VideoOptions {
         within("window_radius_px", self.window_radius_px, 1..=100)?;
         within("patch_radius_px", self.patch_radius_px, 1..=100)?;
         within("pyramid_levels", self.pyramid_levels, 0..=10)?;
-        within("max_round_trip_px", self.max_round_trip_px, 0.0..=1000.0)?;
         within("min_correlation", self.min_correlation, -1.0..=1.0)?;
         within("min_found_again", self.min_found_again, -1.0..=1.0)?;
         within("border_px", self.border_px, 0..=1000)?;
@@ -119,14 +116,14 @@ impl VideoOptions {
     /// For the background.
     pub fn background() -> Self {
         Self {
-            max_points: 1500,
+            // With 1,500 trajectories of six rendered drives are as exact; with 800 camera paths are a third worse.
+            max_points: 1000,
             min_distance_px: 12.0,
             quality: 0.003,
             window_radius_px: 7,
             patch_radius_px: 7,
             pyramid_levels: 3,
             first_look: FirstLook::Predicted,
-            max_round_trip_px: 0.7,
             min_correlation: 0.7,
             min_found_again: 0.8,
             border_px: 0,

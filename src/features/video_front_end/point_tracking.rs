@@ -4,7 +4,8 @@ use nalgebra::{Point2, Vector2};
 
 use super::tracked_point::Live;
 use super::{FirstLook, VideoFrontEnd};
-use crate::image::{LucasKanade, Pyramid, Returned};
+use crate::features::patch::Aligned;
+use crate::image::{LucasKanade, Pyramid};
 use crate::math::Neighbors;
 use crate::scene::Mask;
 
@@ -17,21 +18,22 @@ impl VideoFrontEnd {
     pub(super) fn follow(&mut self, previous: &Pyramid, pyramid: &Pyramid, mask: &Mask) {
         let gray = pyramid.picture();
         let followed = self.looked_for(previous, pyramid);
-        let max_round_trip_px = self.options.max_round_trip_px;
         let (mut moves, mut lost) = (Vec::new(), Vec::new());
-        for (mut point, followed) in std::mem::take(&mut self.live).into_iter().zip(followed) {
-            let start = point.warp.center;
-            let returned = followed.filter(|f| f.round_trip_px <= max_round_trip_px);
-            if returned.is_some_and(|f| point.align(f.position, gray, self.options.min_correlation)) {
-                moves.push([start, point.warp.center]);
-                self.live.push(point);
-            } else {
-                lost.push(point);
+        for (mut point, found) in std::mem::take(&mut self.live).into_iter().zip(followed) {
+            match found {
+                Some(found) => {
+                    moves.push([point.warp.center, found.warp.center]);
+                    point.go_on(&found);
+                    self.live.push(point);
+                }
+                None => lost.push(point),
             }
         }
         let motion = Motion::new(&moves);
         for mut point in lost {
-            if point.align(motion.carry(point.warp.center), gray, self.options.min_found_again) {
+            let carried = motion.carry(point.warp.center);
+            if let Some(found) = point.aligned(carried, gray, self.options.min_found_again) {
+                point.go_on(&found);
                 self.live.push(point);
             }
         }
@@ -45,9 +47,10 @@ impl VideoFrontEnd {
         });
     }
 
-    /// Where Lucas-Kanade finds the points that live: first those that have moved before, where their last step leads,
-    /// or those of a small target, where its mask has gone; and through the whole pyramid what is new or lost so.
-    fn looked_for(&self, previous: &Pyramid, pyramid: &Pyramid) -> Vec<Option<Returned>> {
+    /// The points that live, where Lucas-Kanade leads and their patches are seen: first those that have moved before,
+    /// from where their last step leads, or those of a small target, from where its mask has gone; and through the
+    /// whole pyramid what is new or lost so. The patch is the check, so that nothing is followed back.
+    fn looked_for(&self, previous: &Pyramid, pyramid: &Pyramid) -> Vec<Option<Aligned>> {
         let tracker = LucasKanade {
             window_radius_px: self.reach.window_radius_px.max(1) as usize,
             num_smaller: self.options.pyramid_levels.max(0) as usize,
@@ -55,24 +58,28 @@ impl VideoFrontEnd {
             converged_px: 0.03,
             min_eigenvalue: 1e-4,
         };
-        let starts = |chosen: &[usize]| chosen.iter().map(|&k| self.live[k].warp.center).collect::<Vec<_>>();
-        let mut found: Vec<Option<Returned>> = vec![None; self.live.len()];
         let prediction = |live: &Live| match self.options.first_look {
             FirstLook::Predicted => live.predicted(),
             FirstLook::Pyramid => self.shift.map(|shift| live.warp.center + shift),
         };
+        let look = |tracker: LucasKanade, chosen: &[usize], guesses: &[Point2<f32>]| -> Vec<Option<Aligned>> {
+            let starts: Vec<_> = chosen.iter().map(|&k| self.live[k].warp.center).collect();
+            let followed = tracker.follow(previous, pyramid, &starts, guesses).into_iter().zip(chosen);
+            let aligned =
+                |position, k: usize| self.live[k].aligned(position, pyramid.picture(), self.options.min_correlation);
+            followed.map(|(followed, &k)| aligned(followed?.position, k)).collect()
+        };
+        let mut found: Vec<Option<Aligned>> = vec![None; self.live.len()];
         let (moving, predicted): (Vec<usize>, Vec<Point2<f32>>) =
             self.live.iter().enumerate().filter_map(|(k, live)| Some((k, prediction(live)?))).unzip();
-        let is_back = |f: &Returned| f.round_trip_px <= self.options.max_round_trip_px;
-        let near = tracker.near().there_and_back(previous, pyramid, &starts(&moving), &predicted);
-        let num_back = near.iter().flatten().filter(|f| is_back(f)).count();
-        if num_back as f64 >= MIN_NEAR * moving.len() as f64 {
-            moving.into_iter().zip(near).for_each(|(k, followed)| found[k] = followed);
+        let near = look(tracker.near(), &moving, &predicted);
+        if near.iter().flatten().count() as f64 >= MIN_NEAR * moving.len() as f64 {
+            moving.into_iter().zip(near).for_each(|(k, aligned)| found[k] = aligned);
         }
-        let open: Vec<usize> = (0..found.len()).filter(|&k| !found[k].as_ref().is_some_and(is_back)).collect();
-        let starts = starts(&open);
-        let anywhere = tracker.there_and_back(previous, pyramid, &starts, &starts);
-        open.into_iter().zip(anywhere).for_each(|(k, followed)| found[k] = followed);
+        let open: Vec<usize> = (0..found.len()).filter(|&k| found[k].is_none()).collect();
+        let places: Vec<_> = open.iter().map(|&k| self.live[k].warp.center).collect();
+        let anywhere = look(tracker, &open, &places);
+        open.into_iter().zip(anywhere).for_each(|(k, aligned)| found[k] = aligned);
         found
     }
 }

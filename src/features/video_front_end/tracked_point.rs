@@ -3,7 +3,7 @@
 use nalgebra::{Matrix2, Point2, Vector2};
 
 use crate::bundle::Whitening;
-use crate::features::patch::{Patch, Warp};
+use crate::features::patch::{Aligned, Patch, Warp};
 use crate::image::GrayImage;
 
 /// A point that is being followed.
@@ -24,20 +24,20 @@ impl Live {
         Some(self.warp.center + self.step?)
     }
 
-    /// Moves to where the patch is seen near a prediction; false, and unmoved, where it is not.
-    pub fn align(&mut self, predicted: Point2<f32>, gray: &GrayImage, min_correlation: f32) -> bool {
+    /// Alignment of the patch near a prediction; `None` where the patch is not seen.
+    pub fn aligned(&self, predicted: Point2<f32>, gray: &GrayImage, min_correlation: f32) -> Option<Aligned> {
         // Lucas–Kanade is right to a fraction of a pixel; farther away lies another structure.
         const MAX_CORRECTION_PX: f32 = 2.0;
-        let start = Warp { shape: self.warp.shape, center: predicted };
-        let Some(found) = self.patch.align(gray, &start) else { return false };
+        let found = self.patch.align(gray, &Warp { shape: self.warp.shape, center: predicted })?;
         let is_near = (found.warp.center - predicted).norm() <= MAX_CORRECTION_PX;
-        if !is_near || found.correlation < min_correlation {
-            return false;
-        }
+        (is_near && found.correlation >= min_correlation).then_some(found)
+    }
+
+    /// Moves to an alignment in the next view.
+    pub fn go_on(&mut self, found: &Aligned) {
         self.step = Some(found.warp.center - self.warp.center);
         self.warp = found.warp;
         self.whitening = whitening(found.covariance);
-        true
     }
 }
 
