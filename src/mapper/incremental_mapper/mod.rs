@@ -115,7 +115,6 @@ impl<'a> IncrementalMapper<'a> {
             if before > self.adjusted_at {
                 self.adjust_grown()?;
             }
-            self.retry_between_neighbours();
             if self.map.num_registered() == before && self.next_view().is_none() {
                 return Ok(());
             }
@@ -296,24 +295,6 @@ impl<'a> IncrementalMapper<'a> {
         self.map.update_observations(&limits);
         self.note_adjusted();
         Ok(())
-    }
-
-    /// Tries views that failed from the pose interpolated between registered neighbours on both sides.
-    fn retry_between_neighbours(&mut self) {
-        if !self.options.ordered {
-            return;
-        }
-        for view in 0..self.map.poses.len() {
-            if self.map.poses[view].is_some() || self.refused[view].is_some() {
-                continue;
-            }
-            let Some(start) = self.interpolated(view) else { continue };
-            let visible = self.map.visible(view);
-            let buffers = self.map.pixels_and_points(&visible);
-            let data = self.map.resection_data(view, &buffers);
-            let found = resection::refine_from(&data, &start, self.options.max_pose_error_px);
-            self.accept(view, &visible, found);
-        }
     }
 
     /// Between the nearest registered views on both sides, by time order; `None` at the ends.
