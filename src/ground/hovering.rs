@@ -51,6 +51,8 @@ pub struct StatedTilt {
     pub angles: [f64; 2],
     /// Their standard deviations; `None` where nothing is stated.
     pub std: [Option<f64>; 2],
+    /// True if a sensor of the vertical states it: then a level horizon is no further evidence.
+    pub is_vertical: bool,
 }
 
 /// A source of the normal against all others.
@@ -71,7 +73,7 @@ impl StatedTilt {
         let across = (y * y + z * z).max(f64::MIN_POSITIVE);
         let by_up = [Vector3::new(0.0, z, -y) / across, Vector3::x() / across.sqrt()];
         let std = by_up.map(|by| Some(by.dot(&(covariance * by)).max(0.0).sqrt()));
-        Self { source: source.to_owned(), angles: [(-z).atan2(-y), x.asin()], std }
+        Self { source: source.to_owned(), angles: [(-z).atan2(-y), x.asin()], std, is_vertical: false }
     }
 
     /// Differences of angles from the stated ones with their standard deviations.
@@ -98,7 +100,7 @@ const BOX_LENGTH: f64 = 0.01;
 const MOST_SIGHTS: usize = 20;
 /// Sights to both sides between which a vehicle's direction is taken.
 const REACH: usize = 3;
-/// Standard deviation of the horizon's roll where no source states it, radians: gimbals keep it within one degree,
+/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one degree,
 /// poles within some.
 const ROLL_STD: f64 = 0.035;
 /// Inclinations that are tried, radians: from a horizon just outside the image to straight down, over a slope.
@@ -305,7 +307,7 @@ impl Problem<'_> {
         let size = at.len();
         let mut local = Local { cost: 0.0, gradient: DVector::zeros(size), information: DMatrix::zeros(size, size) };
         let angles = Vector2::new(at[0], at[1]);
-        if !stated.iter().any(|tilt| tilt.std[1].is_some()) {
+        if !stated.iter().any(|tilt| tilt.is_vertical) {
             local.add(angles.y / ROLL_STD, &[(1, ROLL_STD.recip())], 1.0, RobustLoss::Squared);
         }
         for (k, off, std) in stated.iter().flat_map(|tilt| tilt.differences(angles)) {
@@ -451,7 +453,10 @@ mod tests {
             let found = hovering_ground(
                 &background,
                 &[],
-                vec![StatedTilt::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))],
+                vec![StatedTilt {
+                    is_vertical: true,
+                    ..StatedTilt::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))
+                }],
             )
             .unwrap();
             assert!(found.normal_in_world.angle(&up) < 1e-4 && (found.tilt_std - 0.0283).abs() < 1e-3, "{found:?}");
@@ -461,8 +466,14 @@ mod tests {
     #[test]
     fn a_stated_pitch_is_enough_and_nothing_is_not() {
         let (background, vehicles, up) = scene(0.6, 0.0, 1);
-        let pitch =
-            |pitch: f64| vec![StatedTilt { source: "pitch".to_owned(), angles: [pitch, 0.0], std: [Some(0.01), None] }];
+        let pitch = |pitch: f64| {
+            vec![StatedTilt {
+                source: "pitch".to_owned(),
+                angles: [pitch, 0.0],
+                std: [Some(0.01), None],
+                is_vertical: false,
+            }]
+        };
         let stated = hovering_ground(&background, &[], pitch(0.6)).unwrap();
         assert!(stated.normal_in_world.angle(&up) < 1e-3 && stated.tilt_std < 0.04, "{stated:?}");
         assert_eq!(hovering_ground(&background, &[], Vec::new()), None);

@@ -62,7 +62,12 @@ pub(in crate::pipeline) fn tilts(
     if let Some(pitch) = run.options.metric.camera_pitch {
         let std = pitch.std.to_radians().max(LEAST_PITCH_STD);
         let angles = [pitch.value.to_radians(), 0.0];
-        found.push(StatedTilt { source: "--camera-pitch".to_owned(), angles, std: [Some(std), None] });
+        found.push(StatedTilt {
+            source: "--camera-pitch".to_owned(),
+            angles,
+            std: [Some(std), None],
+            is_vertical: false,
+        });
     }
     if let Some(log) = telemetry::find(run, &mut Outcome::default()) {
         let of_gimbal = || {
@@ -74,7 +79,8 @@ pub(in crate::pipeline) fn tilts(
         let vertical = attitude::vertical(run, &frames, &log, &mut Outcome::default()).or_else(of_gimbal);
         // The ground is not level.
         found.extend(vertical.map(|(up, std)| {
-            of_up("attitude of the camera in telemetry", up, in_all_directions(std.hypot(SLOPE_STD)))
+            let tilt = of_up("attitude of the camera in telemetry", up, in_all_directions(std.hypot(SLOPE_STD)));
+            StatedTilt { is_vertical: true, ..tilt }
         }));
     }
     if let Some(map) = on_map_points(run, background)? {
