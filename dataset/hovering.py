@@ -100,7 +100,7 @@ def write_inputs(sequence: Path, output: Path, seed: int) -> None:
 
 def registered(video: Path, n_frames: int) -> list[np.ndarray]:
     """Homographies from each frame to the first, by ORB features."""
-    capture, orb = cv2.VideoCapture(str(video)), cv2.ORB_create(2000)
+    capture, orb = cv2.VideoCapture(str(video)), cv2.ORB_create(800)
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
     found, first = [], None
     for _ in range(n_frames):
@@ -110,9 +110,9 @@ def registered(video: Path, n_frames: int) -> list[np.ndarray]:
         points, words = orb.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), None)
         first = first or (points, words)
         matches = matcher.match(words, first[1])
-        pairs = [np.float64([side[i].pt for i in index]) for side, index in (
-            (points, [m.queryIdx for m in matches]), (first[0], [m.trainIdx for m in matches]))]
-        found.append(cv2.findHomography(pairs[0], pairs[1], cv2.RANSAC, 2.0)[0])
+        here = np.array([points[match.queryIdx].pt for match in matches])
+        there = np.array([first[0][match.trainIdx].pt for match in matches])
+        found.append(cv2.findHomography(here, there, cv2.RANSAC, 2.0)[0])
     return found
 
 
@@ -122,16 +122,17 @@ def apply(homography: np.ndarray, pixel: np.ndarray) -> np.ndarray:
     return mapped[:2] / mapped[2]
 
 
-def by_homography(sequence: Path, run: Path, points: Path, object_id: int, names: dict[int, str]) -> dict[int, np.ndarray]:
+def by_homography(
+    to_first: list[np.ndarray], run: Path, points: Path, object_id: int, names: dict[int, str]
+) -> dict[int, np.ndarray]:
     """Positions of an object by frame, metres east and north, at the middles of the boxes of its masks."""
     features = json.loads(points.read_text())["features"]
     pixels = np.array([[f["properties"]["x"], f["properties"]["y"]] for f in features])
     ground = np.array([from_map(*f["geometry"]["coordinates"][:2]) for f in features])
     to_ground = cv2.findHomography(pixels, ground)[0]
-    to_first = registered(sequence / "video.mp4", max(names) + 1)
     found = {}
     for frame, name in names.items():
-        mask = cv2.imread(str(run / "tracks" / str(object_id) / f"{Path(name).stem}.png"), cv2.IMREAD_GRAYSCALE)
+        mask = cv2.imread(str(run / "tracks" / str(object_id) / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
         if mask is not None and mask.any():
             rows, columns = np.nonzero(mask)
             middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
@@ -148,6 +149,7 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
         raise SystemExit(f"{run}: no meters")
     on_map = metric.get("origin") is not None
     poses = images(run)
+    to_first = registered(sequence / "video.mp4", len(truth.cameras)) if points is not None else []
     total: dict[str, list[np.ndarray]] = {"tractrix": [], "homography": []}
     for thing in content["objects"]:
         names = {f["frame"]: f["name"] for f in thing["frames"]}
@@ -161,7 +163,7 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
                 ours[f["frame"]] = _in_world(truth, f, poses[f["name"]], metric["scale"])[:2]
         kinds = {"tractrix": ours}
         if points is not None:
-            kinds["homography"] = by_homography(sequence, run, points, thing["id"], names)
+            kinds["homography"] = by_homography(to_first, run, points, thing["id"], names)
         for kind, positions in kinds.items():
             errors = np.array([at - where[k][:2, 3] for k, at in positions.items()])
             total[kind].append(errors)
