@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Inputs and errors of hovering sequences: logs and map points with noise, positions of a run beside a homography's.
+"""Inputs of hovering sequences (logs and map points with noise), and errors of a run and of a homography.
 
 ``inputs`` writes a log of a drone (video.SRT) and points of a map (points.geojson) of a sequence, with errors of their
 kind by a seed. ``compare`` states the errors of a run's positions, and of those of a homography from the image to four

@@ -252,7 +252,7 @@ impl Problem {
         Some(Linear { residual, weight, common, view, point: of_point })
     }
 
-    /// Number of parameters besides points; the first view is the frame.
+    /// Number of parameters without points; the first view is the frame.
     fn size(&self) -> usize {
         COMMON + 6 * (self.rotations.len() - 1)
     }

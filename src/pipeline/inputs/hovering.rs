@@ -1,4 +1,4 @@
-//! What the options, a log and points of a map tell about a camera that does not translate.
+//! Evidence on a camera that does not translate: options, a log, and points of a map.
 
 use std::path::Path;
 
