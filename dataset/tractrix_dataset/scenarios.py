@@ -146,6 +146,20 @@ def _hovering(vehicle: str, r: np.random.Generator) -> Trajectory:
     return Trajectory("hovering", target, flight, others, near_degenerate=True, sun=(50.0, 140.0))
 
 
+def _hovering_high(vehicle: str, r: np.random.Generator) -> Trajectory:
+    """A drone hovers over a crossing at 50 to 120 m, 50° to 85° down; vehicles drive both ways on both streets."""
+    start = 444.0 + r.uniform(-3, 3)
+    target = Drive("main", start, 1, 1.55, _steady(7.0 + r.uniform(-0.5, 0.5)))
+    oncoming = Drive("main", start + 82.0, -1, 1.55, _steady(8.0 + r.uniform(-0.5, 0.5)))
+    following = replace(target, start=start - 16.0 + r.uniform(-1, 1))
+    away = Drive("north", 310.0 + r.uniform(0, 3), 1, 1.5, _steady(6.5 + r.uniform(-0.5, 0.5)))
+    away_too = Drive("north", 294.0 - r.uniform(0, 3), -1, 1.5, _steady(7.5 + r.uniform(-0.5, 0.5)))
+    height, pitch = r.uniform(50.0, 120.0), np.radians(r.uniform(50.0, 85.0))
+    flight = Flight(ALL_ROUND, 0.0, (height / np.tan(pitch),) * 2, (height,) * 2, wind=r.uniform(0.2, 1.0))
+    others = (("saloon", oncoming), ("van", following), ("lorry", away), ("smart", away_too))
+    return Trajectory("hovering_high", target, flight, others, near_degenerate=True, sun=(50.0, 140.0))
+
+
 Scenario = Callable[[str, np.random.Generator], Trajectory]
 SCENARIOS: dict[str, Scenario] = {
     "occlusion_lorry": _occlusion_lorry,
@@ -157,6 +171,7 @@ SCENARIOS: dict[str, Scenario] = {
     "dashcam_oncoming": _dashcam_oncoming,
     "dashcam_town": _dashcam_town,
     "hovering": _hovering,
+    "hovering_high": _hovering_high,
 }
 NAMES = (*TRAJECTORIES, *SCENARIOS)
 # What is rendered of each scenario, in the order in which it is useful.
@@ -171,6 +186,7 @@ CHOSEN = (
     ("dashcam_town", "hatchback"),
     ("right_curves", "lorry"),
     ("hovering", "hatchback"),
+    ("hovering_high", "suv"),
 )
 
 

@@ -144,6 +144,10 @@ pub(super) struct JobArgs {
     /// vehicles]
     #[arg(long, value_name = "DEGREES[±STD]", help_heading = "Meters")]
     pub(super) camera_pitch: Option<Measured>,
+    /// Points of level ground for a hovering camera: GeoJSON points with properties x, y (pixel) and frame (index,
+    /// default: the first)
+    #[arg(long, value_name = "FILE", help_heading = "Meters")]
+    pub(super) map_points: Option<PathBuf>,
     /// Known length, width or height of vehicle ID, meters: 1:length=4.47±0.02; may be repeated
     #[arg(long, value_name = "ID:NAME=METERS[±STD]", help_heading = "Meters")]
     pub(super) known_length: Vec<KnownLength>,
@@ -171,6 +175,7 @@ impl JobArgs {
             &mut self.ground_model,
             &mut self.background_model,
             &mut self.telemetry,
+            &mut self.map_points,
             &mut self.common.options,
         ];
         let objects = self.object_model.iter_mut().map(|(_, path)| path);
@@ -194,7 +199,7 @@ pub(super) fn shown_up_to(goal: Stage, flag: clap::Arg) -> clap::Arg {
         | "time_offset" | "utc_offset" => Stage::Features,
         "flow_model" | "mask_network" | "motion" | "segment_every" => Stage::Track,
         "object_model" | "only_object" => Stage::Follow,
-        "ground_masks" | "ground_label" | "ground_model" | "camera_pitch" => Stage::Ground,
+        "ground_masks" | "ground_label" | "ground_model" | "camera_pitch" | "map_points" => Stage::Ground,
         "scale_method" => Stage::Scale,
         "camera_height" | "known_length" | "scale" => Stage::Metric,
         _ => Stage::Frames,
@@ -294,6 +299,7 @@ fn apply_metres(job: &JobArgs, metric: &mut MetricOptions) {
     metric.utc_offset = job.utc_offset.or(metric.utc_offset);
     metric.camera_height = job.camera_height.or(metric.camera_height);
     metric.camera_pitch = job.camera_pitch.or(metric.camera_pitch);
+    metric.map_points = job.map_points.clone().or(metric.map_points.take());
     metric.scale = job.scale.or(metric.scale);
     metric.known_lengths.extend(job.known_length.iter().copied());
 }

@@ -16,7 +16,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix2, Point2, Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Point2, Point3, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
@@ -26,7 +26,7 @@ use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconstruction};
 
 /// The ground below a camera that does not translate.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct HoveringGround {
     /// Unit normal in the background's frame, towards the camera.
     pub normal_in_world: Vector3<f64>,
@@ -34,10 +34,57 @@ pub struct HoveringGround {
     pub tilt_std: f64,
     /// Vehicles that show it.
     pub num_vehicles: usize,
+    /// Inclination of the camera's axis below the ground's horizon in the first frame, radians.
+    pub pitch: f64,
+    /// Other sources of the normal.
+    pub sources: Vec<StatedTilt>,
+    /// Sources that contradict all others.
+    pub contradictions: Vec<TiltContradiction>,
 }
 
-/// A stated inclination of the camera's axis below the horizon in the first frame, with standard deviation, radians.
-pub type StatedPitch = Option<[f64; 2]>;
+/// The ground's tilt against the camera of the first frame by another source than vehicles.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct StatedTilt {
+    /// Its name, for people.
+    pub source: String,
+    /// Inclination of the camera's axis below the horizon, and of the horizon to the right, radians.
+    pub angles: [f64; 2],
+    /// Their standard deviations; `None` where nothing is stated.
+    pub std: [Option<f64>; 2],
+    /// True if a sensor of the vertical states it: then a level horizon is no further evidence.
+    pub is_vertical: bool,
+}
+
+/// A source of the normal against all others.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct TiltContradiction {
+    /// Name of the source.
+    pub source: String,
+    /// Angle between the normals, radians.
+    pub angle: f64,
+    /// The same in standard deviations of both.
+    pub deviations: f64,
+}
+
+impl StatedTilt {
+    /// Tilt of a vertical or normal in the camera's frame, with its covariance.
+    pub fn of_up(source: &str, up_in_cam: &Vector3<f64>, covariance: &Matrix3<f64>) -> Self {
+        let [x, y, z] = [up_in_cam.x.clamp(-1.0, 1.0), up_in_cam.y, up_in_cam.z];
+        let across = (y * y + z * z).max(f64::MIN_POSITIVE);
+        let by_up = [Vector3::new(0.0, z, -y) / across, Vector3::x() / across.sqrt()];
+        let std = by_up.map(|by| Some(by.dot(&(covariance * by)).max(0.0).sqrt()));
+        Self { source: source.to_owned(), angles: [(-z).atan2(-y), x.asin()], std, is_vertical: false }
+    }
+
+    /// Differences of angles from the stated ones with their standard deviations.
+    fn differences(&self, angles: Vector2<f64>) -> impl Iterator<Item = (usize, f64, f64)> {
+        (0..2).filter_map(move |k| Some((k, angles[k] - self.angles[k], self.std[k]?)))
+    }
+}
+
+/// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
+/// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
+pub const SLOPE_STD: f64 = 0.035;
 
 /// Standard deviation of an extent's logarithm along one path, which masks and changes of the view leave.
 const EXTENT_STD: f64 = 0.05;
@@ -53,10 +100,11 @@ const BOX_LENGTH: f64 = 0.01;
 const MOST_SIGHTS: usize = 20;
 /// Sights to both sides between which a vehicle's direction is taken.
 const REACH: usize = 3;
-/// Standard deviation of the horizon's roll, radians: gimbals keep it within one degree, poles within some.
+/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one degree,
+/// poles within some.
 const ROLL_STD: f64 = 0.035;
-/// Inclinations that are tried, radians: from a horizon just outside the image to straight down.
-const PITCHES: [f64; 2] = [0.03, 1.57];
+/// Inclinations that are tried, radians: from a horizon just outside the image to straight down, over a slope.
+const PITCHES: [f64; 2] = [0.03, 1.65];
 const NUM_PITCHES: usize = 120;
 /// Standard deviation of the tilt beyond which the ground is unknown, radians.
 const MAX_TILT_STD: f64 = 0.15;
@@ -65,13 +113,16 @@ const MIN_FRAMES: usize = 6;
 /// Standard deviation of the ground's height below a vehicle as a share of the camera's: slopes and kerbs.
 const UNEVENNESS: f64 = 0.01;
 
-/// The ground that explains the sizes of vehicles; `None` where neither they nor a stated pitch determine it.
+/// Deviations beyond which a source contradicts the others, as for sources of scale.
+const MAX_DEVIATIONS: f64 = 3.0;
+
+/// The ground that explains the sizes of vehicles and other sources; `None` where they do not determine it.
 ///
 /// * `vehicles` – images of each vehicle, in images of `background`, all of whose cameras are at the origin.
 pub fn hovering_ground(
     background: &Reconstruction,
     vehicles: &[BTreeMap<FrameId, ObjectImage>],
-    pitch: StatedPitch,
+    stated: Vec<StatedTilt>,
 ) -> Option<HoveringGround> {
     let first = background.images.values().next()?;
     let by_frame: BTreeMap<FrameId, &Image> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
@@ -88,64 +139,37 @@ pub fn hovering_ground(
         Vehicle { weight: vehicle.len() as f64 / FRAMES_TOGETHER / sights.len().max(1) as f64, sights }
     };
     let vehicles: Vec<Vehicle> = vehicles.iter().filter(|images| images.len() >= MIN_FRAMES).map(sights_of).collect();
-    let problem = Problem { vehicles: &vehicles, pitch };
     let world_from_cam = first.cam_from_world.rotation.inverse();
-    let cost = |angles: Vector2<f64>| problem.cost(&(world_from_cam * up_in_cam(angles)), angles);
-    let candidates = (0..=NUM_PITCHES).map(|k| {
-        let pitch = PITCHES[0] + (PITCHES[1] - PITCHES[0]) * k as f64 / NUM_PITCHES as f64;
-        Vector2::new(pitch, 0.0)
-    });
-    let start = candidates.min_by(|a, b| cost(*a).total_cmp(&cost(*b)))?;
-    let (angles, covariance) = minimum(&cost, start)?;
+    let problem = Problem { vehicles: &vehicles, world_from_cam };
+    let all: Vec<&StatedTilt> = stated.iter().collect();
+    let (angles, covariance) = problem.minimum(&all)?;
+    let contradiction = |k: usize| {
+        let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
+        let (angles, covariance) = problem.minimum(&others)?;
+        let deviations =
+            all[k].differences(angles).map(|(k, off, std)| off.abs() / std.hypot(covariance[(k, k)].sqrt()));
+        let deviations = deviations.fold(0.0, f64::max);
+        let angle = all[k].differences(angles).map(|(_, off, _)| off).fold(0.0, f64::hypot);
+        let source = all[k].source.clone();
+        (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
+    };
+    let contradictions = (0..all.len()).filter_map(contradiction).collect();
     let tilt_std = covariance.trace().sqrt();
     (tilt_std <= MAX_TILT_STD).then(|| HoveringGround {
         normal_in_world: world_from_cam * up_in_cam(angles),
         tilt_std,
         num_vehicles: vehicles.len(),
+        pitch: angles.x,
+        sources: stated,
+        contradictions,
     })
 }
 
-/// The vertical in the frame of a camera that looks down by a pitch, and is rolled about its axis.
+/// The vertical in the frame of a camera that looks down by a pitch and is tilted to the right: regular straight down,
+/// too, where a roll about the axis is none.
 fn up_in_cam(angles: Vector2<f64>) -> Vector3<f64> {
-    let [pitch, roll] = [angles.x, angles.y];
-    Vector3::new(roll.sin() * pitch.cos(), -roll.cos() * pitch.cos(), -pitch.sin())
-}
-
-/// Least cost near a start, by Newton's method on finite differences, and the covariance there.
-fn minimum(cost: &dyn Fn(Vector2<f64>) -> f64, start: Vector2<f64>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-    const STEP: f64 = 2e-3;
-    const ROUNDS: usize = 30;
-    let axis = [Vector2::new(STEP, 0.0), Vector2::new(0.0, STEP)];
-    let derivatives = |at: Vector2<f64>| {
-        let here = cost(at);
-        let gradient = Vector2::from_fn(|k, _| (cost(at + axis[k]) - cost(at - axis[k])) / (2.0 * STEP));
-        let second = |k: usize| (cost(at + axis[k]) - 2.0 * here + cost(at - axis[k])) / (STEP * STEP);
-        let [a, b] = axis;
-        let mixed = (cost(at + a + b) - cost(at + a - b) - cost(at - a + b) + cost(at - a - b)) / (4.0 * STEP * STEP);
-        (here, gradient, Matrix2::new(second(0), mixed, mixed, second(1)))
-    };
-    let mut at = start;
-    let mut damping = 0.0;
-    for _ in 0..ROUNDS {
-        let (here, gradient, hessian) = derivatives(at);
-        let damped = hessian + Matrix2::identity() * damping;
-        let is_convex = damped.determinant() > 0.0 && damped.trace() > 0.0;
-        let step = if is_convex { damped.try_inverse().map(|inverse| -(inverse * gradient)) } else { None };
-        match step.filter(|step| cost(at + step) <= here) {
-            Some(step) => {
-                at += step;
-                damping *= 0.1;
-                if step.norm() < 1e-6 {
-                    break;
-                }
-            }
-            None => damping = (10.0 * damping).max(hessian.norm().max(1.0)),
-        }
-    }
-    let (_, _, hessian) = derivatives(at);
-    // The cost is half of χ².
-    let covariance = hessian.try_inverse().filter(|_| hessian.determinant() > 0.0 && hessian.trace() > 0.0)?;
-    Some((at, covariance))
+    let [pitch, tilt] = [angles.x, angles.y];
+    Vector3::new(tilt.sin(), -tilt.cos() * pitch.cos(), -tilt.cos() * pitch.sin())
 }
 
 /// A vehicle in one frame.
@@ -165,7 +189,7 @@ struct Vehicle<'a> {
 
 impl Vehicle<'_> {
     /// Logarithms of its length by its sights, if the ground has this normal; it must move.
-    fn log_lengths(&self, normal: &Vector3<f64>) -> Vec<f64> {
+    fn log_lengths(&self, normal: &Vector3<f64>) -> Vec<Option<f64>> {
         // Above the horizon there is no ground: as far away as can be.
         let position = |sight: &Sight| sight.ray / (-normal.dot(&sight.ray)).max(1e-3);
         let path: Vec<Vector3<f64>> = self.sights.iter().map(position).collect();
@@ -176,7 +200,7 @@ impl Vehicle<'_> {
             let log_length = self.sights[k].log_extent - self.sights[k].box_extent_px(&path[k], &forward, normal)?.ln();
             log_length.is_finite().then_some(log_length)
         };
-        (0..path.len()).filter_map(length).collect()
+        (0..path.len()).map(length).collect()
     }
 }
 
@@ -201,27 +225,109 @@ impl Sight<'_> {
 
 struct Problem<'a> {
     vehicles: &'a [Vehicle<'a>],
-    pitch: StatedPitch,
+    /// Of the first frame.
+    world_from_cam: UnitQuaternion<f64>,
 }
 
+/// Inclination and tilt, the common logarithm of lengths, and that of each vehicle.
+type Parameters = DVector<f64>;
+
+/// Sum of squares near some parameters.
+struct Local {
+    cost: f64,
+    gradient: DVector<f64>,
+    information: DMatrix<f64>,
+}
+
+impl Local {
+    /// Adds a residual in standard deviations that counts `weight` times.
+    fn add(&mut self, residual: f64, by: &[(usize, f64)], weight: f64, loss: RobustLoss) {
+        let [rho, slope, _] = loss.evaluate(residual * residual);
+        self.cost += 0.5 * weight * rho;
+        for &(j, of_j) in by {
+            self.gradient[j] += weight * slope * residual * of_j;
+            by.iter().for_each(|&(k, of_k)| self.information[(j, k)] += weight * slope * of_j * of_k);
+        }
+    }
+}
+
+/// Index of the common logarithm of lengths; those of the vehicles follow.
+const LENGTH: usize = 2;
+
 impl Problem<'_> {
-    /// Half of χ² of a normal.
-    fn cost(&self, normal: &Vector3<f64>, angles: Vector2<f64>) -> f64 {
+    /// The angles that explain vehicles and sources best, with their covariance.
+    fn minimum(&self, stated: &[&StatedTilt]) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        const ROUNDS: usize = 40;
+        let candidates = (0..=NUM_PITCHES).map(|k| {
+            let pitch = PITCHES[0] + (PITCHES[1] - PITCHES[0]) * k as f64 / NUM_PITCHES as f64;
+            self.start(Vector2::new(pitch, 0.0))
+        });
+        let cost = |at: &Parameters| self.local(at, stated).cost;
+        let mut at = candidates.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        let (mut here, mut damping) = (self.local(&at, stated), 1e-6);
+        for _ in 0..ROUNDS {
+            let diagonal = here.information.diagonal() * damping;
+            let damped = &here.information + DMatrix::from_diagonal(&diagonal.add_scalar(f64::MIN_POSITIVE));
+            let step = damped.cholesky().map(|factor| -factor.solve(&here.gradient));
+            let trial = step.as_ref().map(|step| self.local(&(&at + step), stated));
+            match step.zip(trial).filter(|(_, trial)| trial.cost <= here.cost) {
+                Some((step, trial)) => {
+                    at += &step;
+                    (here, damping) = (trial, damping * 0.1);
+                    if step.rows(0, 2).norm() < 1e-6 {
+                        break;
+                    }
+                }
+                None => damping *= 10.0,
+            }
+        }
+        let covariance = here.information.try_inverse()?.fixed_view::<2, 2>(0, 0).into_owned();
+        let is_known = covariance.iter().all(|x| x.is_finite()) && covariance[(0, 0)] > 0.0 && covariance[(1, 1)] > 0.0;
+        is_known.then(|| (Vector2::new(at[0], at[1]), covariance))
+    }
+
+    fn normal(&self, angles: Vector2<f64>) -> Vector3<f64> {
+        self.world_from_cam * up_in_cam(angles)
+    }
+
+    /// Parameters at some angles: lengths are medians.
+    fn start(&self, angles: Vector2<f64>) -> Parameters {
+        let normal = self.normal(angles);
+        let of =
+            |vehicle: &Vehicle| median(vehicle.log_lengths(&normal).into_iter().flatten().collect()).unwrap_or(0.0);
+        let lengths: Vec<f64> = self.vehicles.iter().map(of).collect();
+        let common = median(lengths.clone()).unwrap_or(0.0);
+        DVector::from_iterator(LENGTH + 1 + lengths.len(), [angles.x, angles.y, common].into_iter().chain(lengths))
+    }
+
+    /// Half of χ² with its derivatives.
+    fn local(&self, at: &Parameters, stated: &[&StatedTilt]) -> Local {
+        const STEP: f64 = 1e-4;
         let loss = RobustLoss::Cauchy { scale: 2.0 };
-        let mut lengths = Vec::new();
-        let mut cost = 0.5 * (angles.y / ROLL_STD).powi(2);
-        if let Some([pitch, std]) = self.pitch {
-            cost += 0.5 * ((angles.x - pitch) / std).powi(2);
+        let size = at.len();
+        let mut local = Local { cost: 0.0, gradient: DVector::zeros(size), information: DMatrix::zeros(size, size) };
+        let angles = Vector2::new(at[0], at[1]);
+        if !stated.iter().any(|tilt| tilt.is_vertical) {
+            local.add(angles.y / ROLL_STD, &[(1, ROLL_STD.recip())], 1.0, RobustLoss::Squared);
         }
-        for vehicle in self.vehicles {
-            let all = vehicle.log_lengths(normal);
-            let Some(middle) = median(all.clone()) else { continue };
-            let rho: f64 = all.iter().map(|length| loss.evaluate(((length - middle) / EXTENT_STD).powi(2))[0]).sum();
-            cost += 0.5 * vehicle.weight * rho;
-            lengths.push(middle);
+        for (k, off, std) in stated.iter().flat_map(|tilt| tilt.differences(angles)) {
+            local.add(off / std, &[(k, std.recip())], 1.0, RobustLoss::Squared);
         }
-        let middle = median(lengths.clone()).unwrap_or(0.0);
-        cost + 0.5 * lengths.iter().map(|length| loss.evaluate(((length - middle) / SIZE_STD).powi(2))[0]).sum::<f64>()
+        // What no vehicle shows stays where it is.
+        local.information[(LENGTH, LENGTH)] += f64::EPSILON;
+        let normals = [[0.0, 0.0], [STEP, 0.0], [0.0, STEP]].map(|[a, b]| self.normal(angles + Vector2::new(a, b)));
+        for (index, vehicle) in (LENGTH + 1..).zip(self.vehicles) {
+            let of_vehicle = [(index, SIZE_STD.recip()), (LENGTH, -SIZE_STD.recip())];
+            local.add((at[index] - at[LENGTH]) / SIZE_STD, &of_vehicle, 1.0, loss);
+            let [here, pitched, tilted] = normals.map(|normal| vehicle.log_lengths(&normal));
+            for ((here, pitched), tilted) in here.into_iter().zip(pitched).zip(tilted) {
+                let (Some(here), Some(pitched), Some(tilted)) = (here, pitched, tilted) else { continue };
+                let by = [(0, (pitched - here) / STEP), (1, (tilted - here) / STEP), (index, -1.0)];
+                let by = by.map(|(k, by)| (k, by / EXTENT_STD));
+                local.add((here - at[index]) / EXTENT_STD, &by, vehicle.weight, loss);
+            }
+        }
+        local
     }
 }
 
@@ -274,6 +380,8 @@ impl HoveringGround {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::f64::consts::FRAC_PI_2;
+
     use crate::math::{Rigid3, seeded_rng};
     use crate::scene::{CameraId, ImageId};
     use rand::Rng as _;
@@ -327,7 +435,7 @@ mod tests {
         for seed in 0..12 {
             for (pitch, roll) in [(0.4, 0.0), (0.8, 0.02), (1.3, -0.02)] {
                 let (background, vehicles, up) = scene(pitch, roll, seed);
-                let ground = hovering_ground(&background, &vehicles, None);
+                let ground = hovering_ground(&background, &vehicles, Vec::new());
                 found.extend(ground.map(|ground| (pitch, ground.normal_in_world.angle(&up), ground.tilt_std)));
                 all += 1;
             }
@@ -338,13 +446,41 @@ mod tests {
     }
 
     #[test]
+    fn a_stated_vertical_holds_straight_down_too() {
+        for (pitch, tilt) in [(0.6, 0.02), (FRAC_PI_2, 0.03), (1.6, -0.01)] {
+            let (background, ..) = scene(1.0, 0.0, 1);
+            let up = up_in_cam(Vector2::new(pitch, tilt));
+            let found = hovering_ground(
+                &background,
+                &[],
+                vec![StatedTilt {
+                    is_vertical: true,
+                    ..StatedTilt::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))
+                }],
+            )
+            .unwrap();
+            assert!(found.normal_in_world.angle(&up) < 1e-4 && (found.tilt_std - 0.0283).abs() < 1e-3, "{found:?}");
+        }
+    }
+
+    #[test]
     fn a_stated_pitch_is_enough_and_nothing_is_not() {
         let (background, vehicles, up) = scene(0.6, 0.0, 1);
-        let stated = hovering_ground(&background, &[], Some([0.6, 0.01])).unwrap();
+        let pitch = |pitch: f64| {
+            vec![StatedTilt {
+                source: "pitch".to_owned(),
+                angles: [pitch, 0.0],
+                std: [Some(0.01), None],
+                is_vertical: false,
+            }]
+        };
+        let stated = hovering_ground(&background, &[], pitch(0.6)).unwrap();
         assert!(stated.normal_in_world.angle(&up) < 1e-3 && stated.tilt_std < 0.04, "{stated:?}");
-        assert_eq!(hovering_ground(&background, &[], None), None);
-        let both = hovering_ground(&background, &vehicles, Some([0.6, 0.01])).unwrap();
-        assert!(both.tilt_std <= stated.tilt_std && both.num_vehicles > 3);
+        assert_eq!(hovering_ground(&background, &[], Vec::new()), None);
+        let both = hovering_ground(&background, &vehicles, pitch(0.6)).unwrap();
+        assert!(both.tilt_std <= stated.tilt_std && both.num_vehicles > 3 && both.contradictions.is_empty());
+        let wrong = hovering_ground(&background, &vehicles, pitch(1.2)).unwrap();
+        assert!(wrong.contradictions[0].deviations > 3.0 && wrong.contradictions[0].angle > 0.3, "{wrong:?}");
         let planes = both.planes(&background, &background);
         assert!(planes.planes.is_empty() && planes.skipped.len() == 100);
     }

@@ -28,6 +28,7 @@ mod report;
 mod rotating_camera;
 mod separate_stretches;
 pub mod silhouette;
+mod sway;
 #[cfg(test)]
 mod tests;
 mod view_graph;
@@ -43,6 +44,7 @@ pub use long_tracks::cut_long_tracks;
 pub use motion::ModelWeakness;
 pub use report::{Outcome, Reason, Report};
 pub use rotating_camera::{RotatingCamera, rotating_camera};
+pub use sway::{SwayGround, sway_ground};
 
 use crate::camera::Camera;
 use crate::checks::{Checked, ordered, within};

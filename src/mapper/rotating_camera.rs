@@ -143,7 +143,7 @@ fn nearest_rotation(m: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(in crate::mapper) mod tests {
     use super::*;
     use crate::features::tracks::Feature;
     use crate::math::seeded_rng;
@@ -153,7 +153,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     /// Sixty views of a camera 40 m above a plane, which sways by `sway_m` and pans by 10°.
-    fn views(sway_m: f64) -> (TrackTable, Camera, Vec<UnitQuaternion<f64>>) {
+    pub(in crate::mapper) fn views(sway_m: f64) -> (TrackTable, Camera, Vec<UnitQuaternion<f64>>) {
         let camera = Camera::with_focal(1280, 720, 1000.0);
         let mut rng = seeded_rng(5, 0);
         let points: Vec<Point3<f64>> =

@@ -17,6 +17,7 @@ mod fix;
 mod fusion;
 mod known;
 mod level;
+mod map_points;
 mod measured;
 mod placing;
 mod utc_offset;
@@ -30,6 +31,7 @@ pub use fix::PositionFix;
 pub use fusion::{Fused, Kind, Source, fuse};
 pub use known::{KnownLength, KnownLengthError};
 pub use level::{Level, frame_on_ground, frame_on_map};
+pub use map_points::{MapPoint, MapPointsError, camera_over_map};
 pub use measured::{Measured, MeasuredError, TimeOffset, TimeOffsetError};
 pub use placing::{
     ObservedContact, ObservedPoint, contact_place_std_m, contact_pose, in_metres, metric_pose, place_std_m,

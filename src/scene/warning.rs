@@ -83,6 +83,7 @@ topics! {
     TelemetryLinesSkipped: "telemetry-lines-skipped",
     CameraAttitudeIgnored: "camera-attitude-ignored",
     CameraHeightUnusable: "camera-height-unusable",
+    MapPointsIgnored: "map-points-ignored",
     KnownLengthUnusable: "known-length-unusable",
     VehicleProportionsOdd: "vehicle-proportions-odd",
     SourcesContradict: "sources-contradict",

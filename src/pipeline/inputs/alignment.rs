@@ -73,7 +73,7 @@ fn is_finite(alignment: &Alignment) -> bool {
 
 /// The fixes in metres, and the time from which the log's clock is to be counted: seconds after 1970 have too few
 /// digits for a step of milliseconds.
-fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<(LocalFixes, f64), String> {
+pub(super) fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<(LocalFixes, f64), String> {
     let by_name: BTreeMap<&str, f64> = frames.iter().map(|frame| (frame.name.as_str(), frame.time_s)).collect();
     let of_photograph = |fix: &Fix| by_name.get(fix.photograph.as_deref()?).copied();
     let local = match telemetry.origin {

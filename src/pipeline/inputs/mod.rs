@@ -2,10 +2,12 @@
 //! stage.
 
 pub(in crate::pipeline) mod alignment;
+pub(in crate::pipeline) mod attitude;
 pub(in crate::pipeline) mod cameras;
 mod clock_offsets;
 pub(in crate::pipeline) mod given_masks;
 pub(in crate::pipeline) mod given_models;
+pub(in crate::pipeline) mod hovering;
 pub(in crate::pipeline) mod images;
 pub(in crate::pipeline) mod networks;
 pub(in crate::pipeline) mod order;

@@ -331,6 +331,7 @@ impl Options {
         if let TelemetryChoice::File(path) = &self.metric.telemetry {
             named.push(("--telemetry", path));
         }
+        named.extend(self.metric.map_points.iter().map(|path| ("--map-points", path.as_path())));
         named.extend(self.flow_model.iter().map(|path| ("--flow-model", path.as_path())));
         named.extend(self.named_models());
         named

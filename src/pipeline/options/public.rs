@@ -15,7 +15,7 @@ use super::schema::{self, join};
 pub(super) const TUNING: &str = "tuning";
 
 /// Paths of the public options: targets of flags, choices that depend on the footage, and what documents set.
-const PUBLIC: [&str; 59] = [
+const PUBLIC: [&str; 60] = [
     "video.start",
     "video.end",
     "video.every",
@@ -70,6 +70,7 @@ const PUBLIC: [&str; 59] = [
     "metric.utc_offset",
     "metric.camera_height",
     "metric.camera_pitch",
+    "metric.map_points",
     "metric.scale",
     "metric.known_lengths",
     "seed",

@@ -3,14 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{background, objects, track};
+use super::{background, objects};
 use crate::ground::{
-    BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount, hovering_ground,
-    label_points,
+    BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, StatedTilt, TiltContradiction, dominant_plane_points,
+    find_mount, label_points,
 };
 use crate::io::{RunFolder, masks};
 use crate::networks::{GroundSegmenter, load_ground_segmenter};
@@ -20,10 +19,7 @@ use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::of_networks;
 use crate::pipeline::{GroundLabels, Options, PipelineError, Stage};
-use crate::scene::{
-    BoundingBox, Frame, FrameId, Ground, GroundSource, LabelMap, Mask, ObjectId, ObjectImage, Point3dId,
-    Reconstruction, Topic,
-};
+use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic, Warning};
 
 /// The name of the list of frames that have no plane, and why.
 const SKIPPED: &str = "ground-skipped.json";
@@ -44,7 +40,6 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     Ok(json!({
         "labels": labels,
         "options": run.options.ground,
-        "pitch": run.options.metric.camera_pitch,
         "shape": body_shape(run.options),
         "seed": run.options.seed,
     }))
@@ -86,8 +81,19 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     outcome.figure("num_planes", ground.planes.len());
     outcome.figure("bases", json!(bases));
     if let Some(ground) = &found.hovering {
-        let (tilt_std_deg, num_vehicles) = (ground.tilt_std.to_degrees(), ground.num_vehicles);
-        outcome.figure("hovering", json!({ "tilt_std_deg": tilt_std_deg, "num_vehicles": num_vehicles }));
+        let of_source = |tilt: &StatedTilt| {
+            let std = tilt.std.map(|std| std.map(f64::to_degrees));
+            json!({ "source": tilt.source, "tilt_deg": tilt.angles.map(f64::to_degrees), "std_deg": std })
+        };
+        outcome.figure(
+            "hovering",
+            json!({
+                "pitch_deg": ground.pitch.to_degrees(),
+                "tilt_std_deg": ground.tilt_std.to_degrees(),
+                "num_vehicles": ground.num_vehicles,
+                "sources": ground.sources.iter().map(of_source).collect::<Vec<_>>(),
+            }),
+        );
     }
     if let Some(mount) = &found.mount {
         outcome.figure(
@@ -161,11 +167,14 @@ fn find(
     outcome: &mut Outcome,
 ) -> Result<GroundResults, PipelineError> {
     if background.points.is_empty() {
-        let hovering = hovering(run, background)?;
-        if hovering.is_none() {
-            let text = "no ground found: the camera does not translate, and the sizes of vehicles do not show the \
-                        ground; give --camera-pitch";
-            outcome.warn(Topic::NoGroundFound.warning(text));
+        let hovering = objects::hovering_ground(run)?;
+        match &hovering {
+            None => {
+                let text = "no ground found: the camera does not translate, and the sizes of vehicles do not show the \
+                            ground; give --camera-pitch or --map-points";
+                outcome.warn(Topic::NoGroundFound.warning(text));
+            }
+            Some(ground) => ground.contradictions.iter().for_each(|found| outcome.warn(contradiction(found))),
         }
         return Ok(GroundResults { hovering, ..GroundResults::nothing() });
     }
@@ -195,37 +204,13 @@ fn find(
     Ok(GroundResults { labelled, dominant, mount: mount.ok(), hovering: None })
 }
 
-/// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage `track`
-/// must be done.
-pub(in crate::pipeline) fn hovering(
-    run: &Run,
-    background: &Reconstruction,
-) -> Result<Option<HoveringGround>, PipelineError> {
-    /// Standard deviation of a stated pitch at least, radians: half a degree, which gimbals and eyes leave.
-    const LEAST_PITCH_STD: f64 = 0.009;
-    if background.is_empty() || !background.points.is_empty() {
-        return Ok(None);
-    }
-    let tracked = track::objects(run)?;
-    let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, ObjectImage>> = BTreeMap::new();
-    for frame in run.frames()? {
-        for (id, mask) in track::masks_of(run, &tracked, frame)? {
-            let whole = mask.bounding_box().filter(|bounds| !is_cut(bounds, &mask));
-            let Some(bounds) = whole else { continue };
-            let middle = Point2::new(f64::from(bounds.x0 + bounds.x1), f64::from(bounds.y0 + bounds.y1)) * 0.5;
-            let extent_px = f64::from(bounds.width().max(bounds.height()));
-            vehicles.entry(id).or_default().insert(frame.id, ObjectImage { middle, extent_px });
-        }
-    }
-    let vehicles: Vec<_> = vehicles.into_values().collect();
-    let pitch = run.options.metric.camera_pitch;
-    let pitch = pitch.map(|pitch| [pitch.value.to_radians(), pitch.std.to_radians().max(LEAST_PITCH_STD)]);
-    Ok(hovering_ground(background, &vehicles, pitch))
-}
-
-/// Returns true if the border of the image cuts a mask off.
-fn is_cut(bounds: &BoundingBox, mask: &Mask) -> bool {
-    bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 == mask.width() || bounds.y1 == mask.height()
+fn contradiction(found: &TiltContradiction) -> Warning {
+    Topic::SourcesContradict.warning(format!(
+        "{}: contradicts the other sources of the ground's tilt by {:.1}° ({:.1} standard deviations); check it",
+        found.source,
+        found.angle.to_degrees(),
+        found.deviations
+    ))
 }
 
 /// The ground; the stage must be done.

@@ -8,6 +8,7 @@ pub(in crate::pipeline) mod model_report;
 pub(in crate::pipeline) mod point_cloud;
 mod position_priors;
 
+pub(in crate::pipeline) use hovering::sway;
 pub use map_frame::background_frame;
 pub use model_report::{CameraReport, ModelReport};
 
@@ -193,6 +194,11 @@ pub(in crate::pipeline) fn background(run: &Run) -> Result<(Reconstruction, Mode
 /// Report on the background's model; the stage must be done.
 pub(in crate::pipeline) fn background_report(run: &Run) -> Result<ModelReport, PipelineError> {
     run.workspace.read_state(BACKGROUND_REPORT)
+}
+
+/// Returns true for a camera that does not translate; false before the stage is done.
+pub(in crate::pipeline) fn hovers(run: &Run) -> bool {
+    background_report(run).is_ok_and(|report| report.num_registered > 0 && report.num_points == 0)
 }
 
 /// Standard deviation of the background's focal length as a share of it, what is known of lenses beforehand included;

@@ -1,13 +1,17 @@
 //! The camera's path on the fixes of the telemetry.
 
-use nalgebra::UnitQuaternion;
+use nalgebra::Point3;
 
 use super::sources::{Ground, MAX_TILT};
-use crate::metric::{self, Alignment, Gravity, Offset, Orientation, Refusal, Source, Support, metric_from_cam};
+use crate::math::Sim3;
+use crate::metric::{self, Alignment, Gravity, Measured, Offset, Orientation, Refusal, Source, Support};
+use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::alignment::{FittedLog, fit, registered};
-use crate::pipeline::inputs::telemetry::{Origin, Telemetry};
-use crate::scene::{Frame, Image, MapOrigin, Reconstruction, Topic};
+use crate::pipeline::inputs::alignment::{FittedLog, fit};
+use crate::pipeline::inputs::attitude::orientation;
+use crate::pipeline::inputs::hovering::{self, OnMap};
+use crate::pipeline::inputs::telemetry::Telemetry;
+use crate::scene::{Frame, MapOrigin, Reconstruction, Topic};
 use crate::telemetry::{self, LocalFrame};
 
 /// A path on its fixes, with the map under it.
@@ -15,30 +19,17 @@ pub(super) struct Aligned {
     pub(super) alignment: Alignment,
     pub(super) map: LocalFrame,
     knows_height: bool,
-    /// Epoch of the log's times, seconds of its clock.
-    epoch_s: f64,
-    origin: Origin,
+    /// Meters per unit by it, if it has any.
+    pub(super) source: Option<Source>,
+    /// The log's clock minus the video's time; `None` without a log.
+    pub(super) clock_offset_s: Option<f64>,
 }
 
 impl Aligned {
-    pub(super) fn source(&self) -> Source {
-        Source {
-            name: self.origin.source_name().to_owned(),
-            kind: metric::Kind::Telemetry,
-            log_scale: self.alignment.metric_from_world.scale.ln(),
-            std: self.alignment.log_scale_std(),
-        }
-    }
-
     /// Where the metric frame lies.
     pub(super) fn origin(&self) -> MapOrigin {
         let telemetry::Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = self.map.origin;
         MapOrigin { longitude, latitude, height_m, knows_height: self.knows_height }
-    }
-
-    /// The log's clock minus the video's time.
-    pub(super) fn clock_offset_s(&self) -> f64 {
-        self.epoch_s + self.alignment.offset_s
     }
 }
 
@@ -73,9 +64,77 @@ fn try_align(
     let frames = run.frames().map_err(|error| error.to_string())?;
     let support = |offset, epoch_s| support(background, frames, telemetry, ground, offset, epoch_s, outcome);
     let FittedLog { alignment, map, knows_height, epoch_s, refusal, .. } = fit(run, background, telemetry, support)?;
-    let aligned = Aligned { alignment, map, knows_height, epoch_s, origin: telemetry.origin };
+    let clock_offset_s = epoch_s + alignment.offset_s;
+    let source = source(telemetry.origin.source_name(), metric::Kind::Telemetry, &alignment);
+    let aligned = Aligned { alignment, map, knows_height, source: Some(source), clock_offset_s: Some(clock_offset_s) };
     warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
     Ok(aligned)
+}
+
+fn source(name: &str, kind: metric::Kind, alignment: &Alignment) -> Source {
+    let (log_scale, std) = (alignment.metric_from_world.scale.ln(), alignment.log_scale_std());
+    Source { name: name.to_owned(), kind, log_scale, std }
+}
+
+/// Standard deviation of the ground's height below a scene against the place of take-off, meters: one per cent of slope
+/// over the 200 m within which a pilot stands.
+const TAKEOFF_STD_M: f64 = 2.0;
+
+/// A camera that does not translate, by points of a map or by a log; and the height above take-off as that above
+/// ground.
+///
+/// # Errors
+/// Points of a map that place no camera.
+pub(super) fn hovering(
+    run: &Run,
+    background: &Reconstruction,
+    ground: &Ground,
+    telemetry: Option<&Telemetry>,
+    outcome: &mut Outcome,
+) -> Result<(Option<Aligned>, Option<Source>), PipelineError> {
+    let of_map = hovering::on_map_points(run, background)?.map(|OnMap { alignment, map, knows_height }| {
+        describe(&alignment, outcome);
+        let source = Some(source("map points", metric::Kind::Surveyed, &alignment));
+        Aligned { alignment, map, knows_height, source, clock_offset_s: None }
+    });
+    let station = telemetry.and_then(|log| match hovering::station(run, background, log) {
+        Ok(station) => Some(station),
+        Err(reason) => {
+            let text = format!("{}: positions give no map: {reason}", log.path.display());
+            outcome.warn(Topic::TelemetryDoesNotFit.warning(text));
+            None
+        }
+    });
+    let height = station.as_ref().and_then(|station| {
+        let above_takeoff_m = station.height_m?;
+        Measured::new(above_takeoff_m, station.std_m.z.hypot(TAKEOFF_STD_M))
+    });
+    let of_height = height.zip(ground.height().ok()).map(|(height_m, height)| {
+        let (log_scale, std) = height_m.log_ratio(&height);
+        Source { name: "height above take-off".to_owned(), kind: metric::Kind::Telemetry, log_scale, std }
+    });
+    let of_log = || station.and_then(|station| on_station(station, height));
+    Ok((of_map.or_else(of_log), of_height))
+}
+
+/// The map by a mean position, where the log has the camera's attitude.
+fn on_station(station: hovering::Station, height: Option<Measured>) -> Option<Aligned> {
+    let Orientation { metric_from_world, tilt_std, heading_std } = station.orientation?;
+    // Any scale does: it is replaced by that of all sources, and nothing else depends on it.
+    let (scale, log_std) = height.map_or((1.0, 1.0), |height| (height.value, height.std / height.value));
+    let std = [log_std, tilt_std, tilt_std, heading_std, station.std_m.x, station.std_m.y, station.std_m.z];
+    let alignment = Alignment {
+        metric_from_world: Sim3::new(scale, metric_from_world, station.position_m.coords),
+        anchor_in_world: Point3::origin(),
+        covariance: metric::align::Covariance::from_diagonal(&std.map(|std| std * std).into()),
+        offset_s: station.offset_s,
+        offset_std_s: station.offset_std_s,
+        num_fixes: station.num_fixes,
+        rejected_share: 0.0,
+        noise_factor: 1.0,
+    };
+    let clock_offset_s = Some(station.epoch_s + station.offset_s);
+    Some(Aligned { alignment, map: station.map, knows_height: station.knows_height, source: None, clock_offset_s })
 }
 
 /// Says where the log fits only at another time than it states.
@@ -85,7 +144,7 @@ fn warn_of_other_clock(telemetry: &Telemetry, aligned: &Aligned, refusal: Option
         "{}: stated time does not fit the video ({reason}); by its trajectory the log's clock is {:.1} s ahead of the \
          video's; give --time-offset SECONDS if that is wrong, --no-telemetry if it is the log of another flight",
         telemetry.path.display(),
-        aligned.clock_offset_s()
+        aligned.clock_offset_s.unwrap_or(0.0)
     )));
 }
 
@@ -118,35 +177,6 @@ fn support(
         }
         None => Support { offset, gravity, orientation: None },
     }
-}
-
-/// Orientation of the background by the gimbal angles of the fixes nearest in time to each frame.
-fn orientation(
-    background: &Reconstruction,
-    frames: &[Frame],
-    telemetry: &Telemetry,
-    log_from_video_s: f64,
-) -> Option<Orientation> {
-    /// Angles that are older than this are those of another view, seconds.
-    const MAX_AGE_S: f64 = 0.5;
-    let by_video = telemetry.log.fixes.iter().all(|fix| fix.video_s.is_some());
-    let timed = telemetry
-        .log
-        .fixes
-        .iter()
-        .filter_map(|fix| Some((if by_video { fix.video_s? } else { fix.clock_s? }, fix.gimbal?)));
-    let timed: Vec<_> = timed.collect();
-    let pair = |(frame, image): (&Frame, &Image)| -> Option<(UnitQuaternion<f64>, UnitQuaternion<f64>)> {
-        let time_s = frame.time_s + log_from_video_s;
-        let after = timed.partition_point(|(at, _)| *at < time_s);
-        let near = [after.saturating_sub(1), after];
-        let near = near.into_iter().filter_map(|i| timed.get(i).copied());
-        let (at, angles) = near.min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
-        let is_recent = (at - time_s).abs() <= MAX_AGE_S;
-        is_recent.then(|| (metric_from_cam(angles.yaw, angles.pitch, angles.roll), image.cam_from_world.rotation))
-    };
-    let pairs: Vec<_> = registered(background, frames).into_iter().filter_map(pair).collect();
-    metric::orientation(&pairs)
 }
 
 impl Ground {

@@ -30,11 +30,12 @@ pub(super) fn find(run: &Run, telemetry: Option<&Telemetry>, aligned: Option<&Al
         ClockKind::TimeOfDay | ClockKind::Absent => return None,
     };
     let stated_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
-    let log_from_video_s = aligned.map_or(stated_s, Aligned::clock_offset_s);
+    let fitted_s = aligned.and_then(|aligned| aligned.clock_offset_s);
+    let log_from_video_s = fitted_s.unwrap_or(stated_s);
     let start_s = match clock_from_log_s(&telemetry.log.fixes) {
         Some(clock_from_log_s) => log_from_video_s + clock_from_log_s,
         // Times of the log are those of its clock.
-        None => aligned.map(|_| log_from_video_s)?,
+        None => fitted_s?,
     };
     (start_s >= EARLIEST_S).then(|| match (zone, utc_offset) {
         (ClockZone::Local, Some(offset)) => dated(start_s - offset.seconds(), ClockZone::Utc),

@@ -10,7 +10,6 @@ mod ground_tracks;
 mod placed;
 mod sources;
 mod vehicles;
-mod vertical;
 
 use std::collections::BTreeMap;
 
@@ -23,7 +22,7 @@ use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::{alignment, telemetry as log};
+use crate::pipeline::inputs::{alignment, attitude, hovering, telemetry as log};
 use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
     GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic, Trajectories,
@@ -38,7 +37,7 @@ pub(in crate::pipeline) use vehicles::Size;
 
 /// Inputs of this stage alone: the options of meters, and the content of telemetry files.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
-    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, scale, known_lengths, .. } =
+    let MetricOptions { telemetry, time_offset, utc_offset, camera_height, map_points, scale, known_lengths, .. } =
         &run.options.metric;
     let files = log::files(run);
     // What cannot be read next to a video is no telemetry; what was named has been read before.
@@ -49,6 +48,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
         "time_offset": time_offset,
         "utc_offset": utc_offset,
         "camera_height": camera_height,
+        "map_points": map_points.as_deref().and_then(|path| fingerprint::of_content(path).ok()),
         "scale": scale,
         "known_lengths": known_lengths,
     })
@@ -59,6 +59,9 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// # Errors
 /// [`PipelineError::Telemetry`] names the file and the cure.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
+    if let Some(path) = &options.metric.map_points {
+        hovering::read_map_points(path)?;
+    }
     match &options.metric.telemetry {
         TelemetryChoice::File(path) => Ok(log::telemetry_of(path, options.memory()).map(drop)?),
         TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),
@@ -133,6 +136,10 @@ impl MetricResult {
     }
 }
 
+fn offset_std_s(aligned: &Aligned) -> f64 {
+    aligned.alignment.offset_std_s
+}
+
 fn find(
     run: &Run,
     background: &Reconstruction,
@@ -143,12 +150,22 @@ fn find(
     let mut ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
     if let Some(telemetry) = &telemetry {
-        let vertical = vertical::vertical(run, &alignment::registered(background, run.frames()?), telemetry, outcome);
+        let vertical = attitude::vertical(run, &alignment::registered(background, run.frames()?), telemetry, outcome);
         ground.take_vertical(vertical, outcome);
     }
-    let aligned = telemetry.as_ref().and_then(|telemetry| aligned::align(run, background, &ground, telemetry, outcome));
+    let (aligned, height) = match background.points.is_empty() {
+        true => aligned::hovering(run, background, &ground, telemetry.as_ref(), outcome)?,
+        false => {
+            if run.options.metric.map_points.is_some() {
+                let text = "--map-points ignored: the camera translates; give --telemetry";
+                outcome.warn(Topic::MapPointsIgnored.warning(text));
+            }
+            let align = |telemetry| aligned::align(run, background, &ground, telemetry, outcome);
+            (telemetry.as_ref().and_then(align), None)
+        }
+    };
     let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
-    let mut sources: Vec<Source> = aligned.iter().map(Aligned::source).collect();
+    let mut sources: Vec<Source> = aligned.iter().filter_map(|aligned| aligned.source.clone()).chain(height).collect();
     sources.extend(sources::measured(run, &ground, outcome));
     sources.extend(vehicles::known(run, sizes, outcome));
     let known = fuse(&sources).map(|fused| (fused.scale.ln(), fused.std / fused.scale));
@@ -170,8 +187,8 @@ fn find(
         frame: Some(frame),
         shares: fused.shares,
         contradictions: fused.contradictions.into_iter().chain(alike.contradictions()).collect(),
-        time_offset_s: aligned.as_ref().map(|aligned| aligned.clock_offset_s()),
-        time_offset_std_s: aligned.as_ref().map(|aligned| aligned.alignment.offset_std_s),
+        time_offset_s: aligned.as_ref().and_then(|aligned| aligned.clock_offset_s),
+        time_offset_std_s: aligned.as_ref().filter(|aligned| aligned.clock_offset_s.is_some()).map(offset_std_s),
         dates,
     };
     Ok(MetricResult { metric, map: aligned.map(|aligned| aligned.map), known })

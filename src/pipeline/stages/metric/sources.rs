@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 
 use super::super::{background, ground};
-use crate::ground::{CameraHeight, HeightFailure, camera_height};
+use crate::ground::{CameraHeight, HeightFailure, SLOPE_STD, camera_height};
 use crate::metric::{Kind, Level, Measured, Source};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
@@ -20,10 +20,6 @@ pub(super) struct Ground {
     /// direction of motion too small against the way along it, the height of the camera by the same share.
     focal_std: f64,
 }
-
-/// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
-/// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
-const SLOPE_STD: f64 = 0.035;
 
 /// Verticals further from the ground's normal are those of another camera, or of a turned one, radians.
 pub(super) const MAX_TILT: f64 = 0.35;
@@ -57,7 +53,7 @@ impl Ground {
     }
 
     /// Height of the camera, units of the background.
-    fn height(&self) -> Result<Measured, String> {
+    pub(super) fn height(&self) -> Result<Measured, String> {
         let of_planes = || {
             let found = self.below.as_ref().map_err(ToString::to_string)?;
             Measured::new(found.mean, found.std).ok_or_else(|| "the height above the ground is undetermined".to_owned())

@@ -9,14 +9,18 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 
-use super::super::ground::{self, body_shape};
+use super::super::ground::body_shape;
+use super::super::{background, track};
 use crate::features::tracks::{TrackTable, View};
 use crate::ground::{DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
-use crate::scene::{FrameId, Image, ObjectId, ObjectImage, Observation, Point3dId, Reconstruction};
+use crate::pipeline::inputs::hovering;
+use crate::scene::{
+    BoundingBox, FrameId, Image, Mask, Movement, ObjectId, ObjectImage, Observation, Point3dId, Reconstruction,
+};
 use crate::trajectory::ground_constrained_poses;
 
 /// By what share of its extent the middle of what is seen of an object may lie next to its middle.
@@ -29,14 +33,14 @@ pub(super) struct Footing<'a> {
     run: &'a Run<'a>,
     background: &'a Reconstruction,
     /// The ground below a camera that does not translate.
-    hovering: Option<HoveringGround>,
+    pub(super) hovering: Option<HoveringGround>,
     /// Found when the first object asks for it.
     found: OnceCell<(Option<DominantPlane>, Option<Mount>)>,
 }
 
 impl<'a> Footing<'a> {
     pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Result<Self, PipelineError> {
-        Ok(Self { run, background, hovering: ground::hovering(run, background)?, found: OnceCell::new() })
+        Ok(Self { run, background, hovering: hovering_ground(run, background)?, found: OnceCell::new() })
     }
 
     fn chain(&self) -> GroundChain<'_> {
@@ -60,6 +64,34 @@ impl<'a> Footing<'a> {
         let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
         (!found.is_empty()).then_some(PosePriors { poses, error_px: OFF_MIDDLE * extent_px })
     }
+}
+
+/// The ground below a camera that does not translate; `None` for others, and where nothing shows it.
+fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<HoveringGround>, PipelineError> {
+    if background.is_empty() || !background.points.is_empty() {
+        return Ok(None);
+    }
+    // Where vehicles that stand point to is unknown.
+    let mut tracked = track::objects(run)?;
+    tracked.retain(|object| object.movement.state == Movement::Moving);
+    let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, ObjectImage>> = BTreeMap::new();
+    for frame in run.frames()? {
+        for (id, mask) in track::masks_of(run, &tracked, frame)? {
+            let whole = mask.bounding_box().filter(|bounds| !is_cut(bounds, &mask));
+            let Some(bounds) = whole else { continue };
+            let middle = Point2::new(f64::from(bounds.x0 + bounds.x1), f64::from(bounds.y0 + bounds.y1)) * 0.5;
+            let extent_px = f64::from(bounds.width().max(bounds.height()));
+            vehicles.entry(id).or_default().insert(frame.id, ObjectImage { middle, extent_px });
+        }
+    }
+    let vehicles: Vec<_> = vehicles.into_values().collect();
+    let tilts = hovering::tilts(run, background, background::sway(run).as_ref())?;
+    Ok(crate::ground::hovering_ground(background, &vehicles, tilts))
+}
+
+/// Returns true if the border of the image cuts a mask off.
+fn is_cut(bounds: &BoundingBox, mask: &Mask) -> bool {
+    bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 == mask.width() || bounds.y1 == mask.height()
 }
 
 /// Where the views show their object.

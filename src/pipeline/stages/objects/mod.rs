@@ -17,16 +17,19 @@ use super::background::{self, ModelReport};
 use super::track;
 use super::{follow, ground};
 use crate::camera::Camera;
+use crate::ground::HoveringGround;
 use crate::io::interchange::colmap;
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
-use crate::pipeline::inputs::order;
+use crate::pipeline::inputs::{hovering, order};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, Topic, TrackedObject};
 use footing::Footing;
 
 const REPORTS: &str = "objects-report.json";
+/// The ground below a camera that does not translate, or `null`.
+const HOVERING: &str = "hovering-ground.json";
 /// Why there is no model where it is not the object's fault.
 const NO_BACKGROUND: &str = "no background to place it in";
 /// Why a vehicle that is not known to move has no model below a camera that does not translate.
@@ -44,7 +47,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         "only": run.options.only_objects,
         "options": objects.mapper,
         "ground": run.options.ground,
-        "pitch": run.options.metric.camera_pitch,
+        "hovering": background::hovers(run).then(|| hovering::cache_key(run)).transpose()?,
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
     });
@@ -59,6 +62,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
     let hovers = background.points.is_empty();
     let place = ObjectContext { camera, hovers, footing: Footing::new(run, &background)? };
+    run.workspace.write_state(HOVERING, &place.footing.hovering)?;
+    outcome.outputs.push(run.workspace.state(HOVERING));
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -111,6 +116,12 @@ fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
             "num_outside_masks": report.num_outside_masks,
         }),
     );
+}
+
+/// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage must be
+/// done.
+pub(in crate::pipeline) fn hovering_ground(run: &Run) -> Result<Option<HoveringGround>, PipelineError> {
+    run.workspace.read_state(HOVERING)
 }
 
 /// The reports of all objects; the stage must be done.

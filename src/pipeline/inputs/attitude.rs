@@ -1,11 +1,13 @@
-//! The vertical from a camera's own sensors, and how its rotations agree with the reconstruction.
+//! The camera's attitude in a log: the vertical from its own sensors, its orientation from a gimbal's angles, and how
+//! its rotations agree with the reconstruction.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use crate::metric;
+use super::alignment::registered;
+use super::telemetry::Telemetry;
+use crate::metric::{self, Orientation, metric_from_cam};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::telemetry::Telemetry;
-use crate::scene::{Frame, Image, Topic};
+use crate::scene::{Frame, Image, Reconstruction, Topic};
 use crate::telemetry::CameraSample;
 
 /// Standard deviation of the gravity that a camera states, radians (a degree): as that of a gimbal's pitch and roll.
@@ -18,7 +20,7 @@ const MAX_SPREAD: f64 = 0.1;
 const MAX_AGE_S: f64 = 0.1;
 
 /// Up in the world's axes by the samples nearest in time to each frame, and its standard deviation, radians.
-pub(super) fn vertical(
+pub(in crate::pipeline) fn vertical(
     run: &Run,
     seen: &[(&Frame, &Image)],
     telemetry: &Telemetry,
@@ -79,4 +81,33 @@ fn describe_rotations(pairs: &[(CameraSample, UnitQuaternion<f64>, &Image)], out
     };
     let rms = (rotations.iter().map(angle).sum::<f64>() / rotations.len() as f64).sqrt();
     outcome.figure("rotations", serde_json::json!({ "num": rotations.len(), "residual_deg": rms.to_degrees() }));
+}
+
+/// Orientation of the background by the gimbal angles of the fixes nearest in time to each frame.
+pub(in crate::pipeline) fn orientation(
+    background: &Reconstruction,
+    frames: &[Frame],
+    telemetry: &Telemetry,
+    log_from_video_s: f64,
+) -> Option<Orientation> {
+    /// Angles that are older than this are those of another view, seconds.
+    const MAX_AGE_S: f64 = 0.5;
+    let by_video = telemetry.log.fixes.iter().all(|fix| fix.video_s.is_some());
+    let timed = telemetry
+        .log
+        .fixes
+        .iter()
+        .filter_map(|fix| Some((if by_video { fix.video_s? } else { fix.clock_s? }, fix.gimbal?)));
+    let timed: Vec<_> = timed.collect();
+    let pair = |(frame, image): (&Frame, &Image)| -> Option<(UnitQuaternion<f64>, UnitQuaternion<f64>)> {
+        let time_s = frame.time_s + log_from_video_s;
+        let after = timed.partition_point(|(at, _)| *at < time_s);
+        let near = [after.saturating_sub(1), after];
+        let near = near.into_iter().filter_map(|i| timed.get(i).copied());
+        let (at, angles) = near.min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
+        let is_recent = (at - time_s).abs() <= MAX_AGE_S;
+        is_recent.then(|| (metric_from_cam(angles.yaw, angles.pitch, angles.roll), image.cam_from_world.rotation))
+    };
+    let pairs: Vec<_> = registered(background, frames).into_iter().filter_map(pair).collect();
+    metric::orientation(&pairs)
 }

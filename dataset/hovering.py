@@ -1,0 +1,240 @@
+#!/usr/bin/env python3
+"""Inputs of hovering sequences (logs and map points with noise), and errors of a run and of a homography.
+
+``inputs`` writes a log of a drone (video.SRT) and points of a map (points.geojson) of a sequence, with errors of their
+kind by a seed. ``compare`` states the errors of a run's positions, and of those of a homography from the image to four
+and more points of the map with frames registered to the first one, at the middles of the same masks (geo-trax's way).
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+LATITUDE, LONGITUDE = 48.1, 9.2
+# Metres per radian of latitude and longitude there (WGS 84).
+RADII = (6370500.0, 6390000.0 * np.cos(np.radians(LATITUDE)))
+# Standard deviations of the inputs: gimbal's yaw, pitch, roll (degrees), position and height (m), map (m), pixel.
+GIMBAL_STD, RECEIVER_STD, HEIGHT_STD, MAP_STD, PIXEL_STD = (3.0, 0.7, 0.5), 2.0, 1.5, 0.3, 1.0
+# Where points are picked, as shares of width and height.
+PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
+# Height above the ground at which vehicles are seen, metres: half of a car's.
+MIDDLE_M = 0.7
+
+
+@dataclass
+class Truth:
+    """Cameras and vehicles of a sequence (N, 4, 4), and the plane that fits all positions of vehicles."""
+
+    scene: dict
+    cameras: np.ndarray
+    vehicles: dict[str, np.ndarray]
+    point: np.ndarray
+    normal: np.ndarray
+
+    @classmethod
+    def read(cls, folder: Path) -> Truth:
+        scene = json.loads((folder / "scene.json").read_text())
+        frames = scene["frames"]
+        vehicles = {scene["vehicle"]: np.array([f["T_world_object"] for f in frames])}
+        for k, name in enumerate(scene["others"]):
+            vehicles[f"{name} {k + 1}"] = np.array([f["T_world_others"][k] for f in frames])
+        positions = np.concatenate([poses[:, :3, 3] for poses in vehicles.values()])
+        normal = np.linalg.svd(positions - positions.mean(0))[2][2]
+        cameras = np.array([f["T_world_camera"] for f in frames])
+        return cls(scene, cameras, vehicles, positions.mean(0), normal * np.sign(normal[2]))
+
+    def on_ground(self, frame: int, pixel: np.ndarray) -> np.ndarray:
+        """The point of the plane at a pixel."""
+        camera = self.cameras[frame]
+        ray = camera[:3, :3] @ np.linalg.solve(np.array(self.scene["K"]), [*pixel, 1.0])
+        return camera[:3, 3] + ray * ((self.point - camera[:3, 3]) @ self.normal) / (ray @ self.normal)
+
+
+def to_map(position: np.ndarray) -> tuple[float, float]:
+    """Longitude and latitude of metres east and north."""
+    return LONGITUDE + np.degrees(position[0] / RADII[1]), LATITUDE + np.degrees(position[1] / RADII[0])
+
+
+def from_map(longitude: float, latitude: float) -> np.ndarray:
+    """Metres east and north."""
+    return np.array([np.radians(longitude - LONGITUDE) * RADII[1], np.radians(latitude - LATITUDE) * RADII[0]])
+
+
+def write_inputs(sequence: Path, output: Path, seed: int) -> None:
+    """Writes video.SRT and points.geojson."""
+    truth, r = Truth.read(sequence), np.random.default_rng(seed)
+    gimbal, position = r.normal(0, GIMBAL_STD), np.array([*r.normal(0, RECEIVER_STD, 2), r.normal(0, HEIGHT_STD)])
+    step = 1.0 / truth.scene["fps"]
+    lines = []
+    for k, camera in enumerate(truth.cameras):
+        ahead, right = camera[:3, 2], camera[:3, 0]
+        yaw, pitch = np.arctan2(ahead[0], ahead[1]), np.arcsin(ahead[2])
+        level = np.array([np.cos(yaw), -np.sin(yaw), 0.0])
+        roll = np.arctan2(right @ np.cross(ahead, level), right @ level)
+        yaw, pitch, roll = np.degrees([yaw, pitch, roll]) + gimbal
+        at = camera[:3, 3] - [0, 0, truth.point[2]] + position
+        longitude, latitude = to_map(at)
+        start, end = (f"00:00:{t:06.3f}".replace(".", ",") for t in (k * step, (k + 1) * step - 1e-3))
+        lines += [f"{k + 1}", f"{start} --> {end}", f"FrameCnt: {k + 1}, DiffTime: 100ms"]
+        lines += [
+            f"[latitude: {latitude:.6f}] [longitude: {longitude:.6f}] [rel_alt: {at[2]:.3f} abs_alt: {at[2] + 400:.3f}] "
+            f"[gb_yaw: {yaw:.1f} gb_pitch: {pitch:.1f} gb_roll: {roll:.1f}]",
+            "",
+        ]
+    (output / "video.SRT").write_text("\n".join(lines))
+    features = []
+    for share in PICKED:
+        pixel = np.array(share) * [truth.scene["width"], truth.scene["height"]]
+        place = to_map(truth.on_ground(0, pixel)[:2] + r.normal(0, MAP_STD, 2))
+        x, y = pixel + r.normal(0, PIXEL_STD, 2)
+        geometry = {"type": "Point", "coordinates": list(place)}
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"x": x, "y": y}})
+    (output / "points.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}, indent=1))
+
+
+def registered(video: Path, n_frames: int) -> list[np.ndarray]:
+    """Homographies from each frame to the first, by ORB features."""
+    capture, orb = cv2.VideoCapture(str(video)), cv2.ORB_create(800)
+    matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
+    found, first = [], None
+    for _ in range(n_frames):
+        good, image = capture.read()
+        if not good:
+            break
+        points, words = orb.detectAndCompute(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), None)
+        first = first or (points, words)
+        matches = matcher.match(words, first[1])
+        here = np.array([points[match.queryIdx].pt for match in matches])
+        there = np.array([first[0][match.trainIdx].pt for match in matches])
+        found.append(cv2.findHomography(here, there, cv2.RANSAC, 2.0)[0])
+    return found
+
+
+def apply(homography: np.ndarray, pixel: np.ndarray) -> np.ndarray:
+    """A point under a homography."""
+    mapped = homography @ [*pixel, 1.0]
+    return mapped[:2] / mapped[2]
+
+
+def by_homography(
+    to_first: list[np.ndarray], run: Path, points: Path, object_id: int, names: dict[int, str]
+) -> dict[int, np.ndarray]:
+    """Positions of an object by frame, metres east and north, at the middles of the boxes of its masks."""
+    features = json.loads(points.read_text())["features"]
+    pixels = np.array([[f["properties"]["x"], f["properties"]["y"]] for f in features])
+    ground = np.array([from_map(*f["geometry"]["coordinates"][:2]) for f in features])
+    to_ground = cv2.findHomography(pixels, ground)[0]
+    found = {}
+    for frame, name in names.items():
+        mask = cv2.imread(str(run / "tracks" / str(object_id) / f"{name}.png"), cv2.IMREAD_GRAYSCALE)
+        if mask is not None and mask.any():
+            rows, columns = np.nonzero(mask)
+            middle = np.array([columns.min() + columns.max() + 1, rows.min() + rows.max() + 1]) / 2
+            found[frame] = apply(to_ground @ to_first[frame], middle)
+    return found
+
+
+def compare(sequence: Path, run: Path, points: Path | None) -> None:
+    """Prints the errors of the positions of a run."""
+    truth = Truth.read(sequence)
+    content = json.loads((run / "trajectories.json").read_text())
+    metric = content.get("metric") or {}
+    if metric.get("scale") is None:
+        raise SystemExit(f"{run}: no meters")
+    on_map = metric.get("origin") is not None
+    poses = images(run)
+    to_first = registered(sequence / "video.mp4", len(truth.cameras)) if points is not None else []
+    total: dict[str, list[np.ndarray]] = {"tractrix": [], "homography": []}
+    for thing in content["objects"]:
+        names = {f["frame"]: f["name"] for f in thing["frames"]}
+        name = _truth_of(truth, thing, poses)
+        where = truth.vehicles[name]
+        ours = {}
+        for f in thing["frames"]:
+            if on_map:
+                ours[f["frame"]] = from_map(f["longitude"], f["latitude"])
+            else:
+                ours[f["frame"]] = _in_world(truth, f, poses[f["name"]], metric["scale"])[:2]
+        kinds = {"tractrix": ours}
+        if points is not None:
+            kinds["homography"] = by_homography(to_first, run, points, thing["id"], names)
+        for kind, positions in kinds.items():
+            errors = np.array([at - where[k][:2, 3] for k, at in positions.items()])
+            total[kind].append(errors)
+            _state(f"object {thing['id']} = {name}, {kind}", errors)
+    for kind, errors in total.items():
+        if errors:
+            _state(f"all, {kind}", np.concatenate(errors))
+
+
+def _state(what: str, errors: np.ndarray) -> None:
+    size = np.linalg.norm(errors, axis=1)
+    own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
+    print(f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m")
+
+
+def images(run: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Rotations and translations, camera from world, by image name."""
+    lines = [line.split() for line in (run / "background" / "images.txt").read_text().splitlines()]
+    found = {}
+    for words in [words for words in lines if len(words) == 10 and words[0] != "#"]:
+        w, x, y, z = map(float, words[1:5])
+        rotation = cv2.Rodrigues(_rotation_vector(w, np.array([x, y, z])))[0]
+        found[words[9]] = (rotation, np.array(list(map(float, words[5:8]))))
+    return found
+
+
+def _rotation_vector(w: float, v: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(v)
+    return np.zeros(3) if length == 0 else v / length * 2 * np.arctan2(length, w)
+
+
+def _in_world(truth: Truth, pose: dict, image: tuple[np.ndarray, np.ndarray], scale: float) -> np.ndarray:
+    """A position of a run in the world of the truth, by the true camera of its frame."""
+    in_camera = (image[0] @ np.array(pose["position"]) + image[1]) * scale
+    camera = truth.cameras[pose["frame"]]
+    return camera[:3, :3] @ in_camera + camera[:3, 3]
+
+
+def _truth_of(truth: Truth, thing: dict, poses: dict[str, tuple[np.ndarray, np.ndarray]]) -> str:
+    """The vehicle in whose direction an object is."""
+
+    def angle(name: str) -> float:
+        angles = []
+        for f in thing["frames"]:
+            center = truth.cameras[f["frame"]][:3, 3]
+            seen = _in_world(truth, f, poses[f["name"]], 1.0) - center
+            true = truth.vehicles[name][f["frame"]][:3, 3] + [0, 0, MIDDLE_M] - center
+            angles.append(np.arccos(np.clip(seen @ true / np.linalg.norm(seen) / np.linalg.norm(true), -1, 1)))
+        return float(np.median(angles))
+
+    return min(truth.vehicles, key=angle)
+
+
+def main() -> None:
+    """Reads the arguments."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    commands = parser.add_subparsers(dest="command", required=True)
+    inputs = commands.add_parser("inputs", help="write video.SRT and points.geojson")
+    inputs.add_argument("sequence", type=Path)
+    inputs.add_argument("output", type=Path)
+    inputs.add_argument("--seed", type=int, default=1)
+    errors = commands.add_parser("compare", help="errors of a run's positions")
+    errors.add_argument("sequence", type=Path)
+    errors.add_argument("run", type=Path)
+    errors.add_argument("--points", type=Path, help="points of the map, for the homography")
+    arguments = parser.parse_args()
+    if arguments.command == "inputs":
+        write_inputs(arguments.sequence, arguments.output, arguments.seed)
+    else:
+        compare(arguments.sequence, arguments.run, arguments.points)
+
+
+if __name__ == "__main__":
+    main()

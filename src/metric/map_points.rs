@@ -1,0 +1,233 @@
+//! A camera that does not translate, over points of a map on level ground.
+//!
+//! With the camera's centre C, east, north and up of a place, and its rotation R (axes of the map from those of the
+//! background), the ray u of a point X of the ground is Rᵀ (X − C) / |X − C|. A homography starts; Gauss–Newton over
+//! turns of R and C ends it. The unit of such a background is the camera's height, so that C has the metres per unit,
+//! too. What the points deviate more than stated widens the covariance.
+
+use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+
+use super::Alignment;
+use super::align::Covariance;
+use crate::math::{Sim3, homography_from_points, svd3};
+
+/// A point of the map and the ray on which a camera at the origin of the background sees it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapPoint {
+    /// Unit vector.
+    pub ray_in_world: Vector3<f64>,
+    /// Standard deviation of the ray's direction, radians.
+    pub ray_std: f64,
+    /// Metres east and north.
+    pub east_north_m: Vector2<f64>,
+    /// Standard deviation of either.
+    pub std_m: f64,
+}
+
+/// Why points of a map do not place a camera.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum MapPointsError {
+    /// Points on one line, or fewer than four.
+    #[error("at least four points, no three of them on a line, must be given; found {0}")]
+    TooFew(usize),
+    /// Image and map are mirrored, or points are above the horizon.
+    #[error("no camera above the ground sees the points so; check that longitude is first and which pixel is which")]
+    NoCamera,
+    /// A point is far from where the others put it.
+    #[error(
+        "point {index} is {off_m:.1} m from where the camera sees it; check its pixel, its position and the intrinsics"
+    )]
+    Contradiction {
+        /// Number of the point, from 1.
+        index: usize,
+        /// Distance on the ground, metres.
+        off_m: f64,
+    },
+}
+
+/// Root-mean-square residual beyond which points contradict each other, in stated standard deviations.
+const MAX_DEVIATIONS: f64 = 4.0;
+
+/// Places the camera; its centre is the anchor.
+///
+/// # Errors
+/// [`MapPointsError`].
+pub fn camera_over_map(points: &[MapPoint]) -> Result<Alignment, MapPointsError> {
+    let mut pose = start(points)?;
+    let mut information = SMatrix::<f64, 6, 6>::zeros();
+    for _ in 0..ROUNDS {
+        let mut gradient = SVector::<f64, 6>::zeros();
+        information.fill(0.0);
+        for point in points {
+            let weight = pose.variance(point).recip();
+            let here = pose.residual(point);
+            let column = |k: usize| (pose.moved(&(SVector::ith(k, STEP))).residual(point) - here) / STEP;
+            let jacobian = SMatrix::<f64, 2, 6>::from_columns(&[0, 1, 2, 3, 4, 5].map(column));
+            gradient += jacobian.transpose() * here * weight;
+            information += jacobian.transpose() * jacobian * weight;
+        }
+        let step = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * gradient;
+        pose = pose.moved(&-step);
+    }
+    let squares = |point: &MapPoint| pose.residual(point).norm_squared() / pose.variance(point);
+    let freedom = 2 * points.len() - 6;
+    let factor = (points.iter().map(squares).sum::<f64>() / freedom as f64).sqrt();
+    let height = pose.center.z;
+    if !(height > 0.0 && factor.is_finite()) {
+        return Err(MapPointsError::NoCamera);
+    }
+    if factor > MAX_DEVIATIONS {
+        let off_m =
+            |point: &MapPoint| pose.on_ground(point).map_or(f64::INFINITY, |at| (at - point.east_north_m).norm());
+        let (index, off_m) = (1..).zip(points.iter().map(off_m)).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
+        return Err(MapPointsError::Contradiction { index, off_m });
+    }
+    let covariance = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * factor.max(1.0).powi(2);
+    let mut of_parameters = SMatrix::<f64, 7, 6>::zeros();
+    of_parameters[(0, 5)] = height.recip();
+    of_parameters.fixed_view_mut::<6, 6>(1, 0).fill_with_identity();
+    let covariance: Covariance = of_parameters * covariance * of_parameters.transpose();
+    Ok(Alignment {
+        metric_from_world: Sim3::new(height, pose.metric_from_world, pose.center.coords),
+        anchor_in_world: Point3::origin(),
+        covariance,
+        offset_s: 0.0,
+        offset_std_s: 0.0,
+        num_fixes: points.len(),
+        rejected_share: 0.0,
+        noise_factor: factor,
+    })
+}
+
+/// From the homography, which is right but for noise: quadratic convergence.
+const ROUNDS: usize = 12;
+/// Step of the derivatives, radians and metres.
+const STEP: f64 = 1e-6;
+
+/// Camera over the map.
+struct Pose {
+    metric_from_world: UnitQuaternion<f64>,
+    center: Point3<f64>,
+}
+
+impl Pose {
+    fn moved(&self, step: &SVector<f64, 6>) -> Self {
+        let turn = UnitQuaternion::from_scaled_axis(step.fixed_rows::<3>(0).into_owned());
+        Self {
+            metric_from_world: turn * self.metric_from_world,
+            center: self.center + step.fixed_rows::<3>(3).into_owned(),
+        }
+    }
+
+    fn way(&self, point: &MapPoint) -> Vector3<f64> {
+        point.east_north_m.push(0.0) - self.center.coords
+    }
+
+    /// Predicted direction across the ray.
+    fn residual(&self, point: &MapPoint) -> Vector2<f64> {
+        let direction = self.metric_from_world.inverse() * self.way(point).normalize();
+        let u = point.ray_in_world;
+        let side = u.cross(&Vector3::ith(u.iamin(), 1.0)).normalize();
+        Matrix3x2::from_columns(&[side, u.cross(&side)]).transpose() * direction
+    }
+
+    fn variance(&self, point: &MapPoint) -> f64 {
+        point.ray_std.powi(2) + (point.std_m / self.way(point).norm()).powi(2)
+    }
+
+    /// Position at which the camera sees a point on the ground.
+    fn on_ground(&self, point: &MapPoint) -> Option<Vector2<f64>> {
+        let ray = self.metric_from_world * point.ray_in_world;
+        (ray.z < 0.0).then(|| (self.center.coords - ray * (self.center.z / ray.z)).xy())
+    }
+}
+
+fn start(points: &[MapPoint]) -> Result<Pose, MapPointsError> {
+    let too_few = MapPointsError::TooFew(points.len());
+    let ahead = points.iter().map(|point| point.ray_in_world).sum::<Vector3<f64>>();
+    let level = UnitQuaternion::rotation_between(&ahead, &Vector3::z()).ok_or(MapPointsError::NoCamera)?;
+    let seen: Option<Vec<Vector2<f64>>> = points
+        .iter()
+        .map(|point| {
+            let ray = level * point.ray_in_world;
+            (ray.z > 0.0).then(|| ray.xy() / ray.z)
+        })
+        .collect();
+    let ground: Vec<Vector2<f64>> = points.iter().map(|point| point.east_north_m).collect();
+    let h = homography_from_points(&ground, &seen.ok_or(MapPointsError::NoCamera)?).ok_or(too_few)?;
+    let length = 0.5 * (h.column(0).norm() + h.column(1).norm());
+    // In front of the camera.
+    let h = h / length * (h * ground[0].push(1.0)).z.signum();
+    let [a, b, t] = [0, 1, 2].map(|k| h.column(k).into_owned());
+    let svd = svd3(Matrix3::from_columns(&[a, b, a.cross(&b)])).ok_or(MapPointsError::NoCamera)?;
+    let (Some(u), Some(v_t)) = (svd.u, svd.v_t) else { return Err(MapPointsError::NoCamera) };
+    let cam_from_metric = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(u * v_t));
+    let pose = Pose {
+        metric_from_world: cam_from_metric.inverse() * level,
+        center: Point3::from(-(cam_from_metric.inverse() * t)),
+    };
+    (pose.center.z > 0.0).then_some(pose).ok_or(MapPointsError::NoCamera)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::metric_from_cam;
+    use super::*;
+    use crate::math::seeded_rng;
+    use rand::Rng as _;
+    use rand_distr::StandardNormal;
+
+    const GROUND: [[f64; 2]; 5] = [[-25.0, 30.0], [20.0, 35.0], [30.0, 80.0], [-30.0, 85.0], [2.0, 55.0]];
+
+    /// A camera 50 m up that looks north, 40° down, and points that err by `std_m`.
+    fn points(num: usize, std_m: f64, seed: u64) -> (Vec<MapPoint>, UnitQuaternion<f64>, Point3<f64>) {
+        let (rotation, center) = (metric_from_cam(0.1, -0.7, 0.02), Point3::new(3.0, -2.0, 50.0));
+        let mut rng = seeded_rng(seed, 0);
+        let mut noise = move || std_m * rng.sample::<f64, _>(StandardNormal);
+        let point = |&[east, north]: &[f64; 2]| MapPoint {
+            ray_in_world: (rotation.inverse() * (Vector3::new(east, north, 0.0) - center.coords)).normalize(),
+            ray_std: 1e-3,
+            east_north_m: Vector2::new(east + noise(), north + noise()),
+            std_m: 0.3,
+        };
+        (GROUND[..num].iter().map(point).collect(), rotation, center)
+    }
+
+    #[test]
+    fn four_points_place_the_camera_within_its_deviations() {
+        let (mut inside, mut all) = (0, 0);
+        for seed in 0..40 {
+            let (points, rotation, center) = points(5, 0.3, seed);
+            let found = camera_over_map(&points).unwrap();
+            let off = Point3::from(found.metric_from_world.translation) - center;
+            let turn = (found.metric_from_world.rotation * rotation.inverse()).scaled_axis();
+            let scale = (found.metric_from_world.scale / center.z).ln();
+            let errors = [scale, turn.x, turn.y, turn.z, off.x, off.y, off.z];
+            let within =
+                errors.iter().enumerate().filter(|(k, e)| e.abs() <= found.covariance[(*k, *k)].sqrt()).count();
+            (inside, all) = (inside + within, all + errors.len());
+        }
+        let share = f64::from(inside as u32) / f64::from(all as u32);
+        assert!((0.6..0.85).contains(&share), "{share}");
+        let (points, rotation, center) = points(4, 0.0, 0);
+        let found = camera_over_map(&points).unwrap();
+        assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
+        assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
+    }
+
+    #[test]
+    fn points_that_place_no_camera_are_refused() {
+        let (all, ..) = points(5, 0.0, 0);
+        assert!(matches!(camera_over_map(&all[..3]), Err(MapPointsError::TooFew(3))));
+        assert!(camera_over_map(&[]).is_err());
+        let swapped = |point: &MapPoint| MapPoint { east_north_m: point.east_north_m.yx(), ..*point };
+        let mirrored: Vec<MapPoint> = all.iter().map(swapped).collect();
+        assert_eq!(camera_over_map(&mirrored), Err(MapPointsError::NoCamera));
+        let mut one_off = all.clone();
+        one_off[4].east_north_m.x += 8.0;
+        assert!(matches!(camera_over_map(&one_off), Err(MapPointsError::Contradiction { index: 5, .. })));
+        let line: Vec<MapPoint> =
+            (0..4).map(|k| MapPoint { east_north_m: Vector2::new(0.0, 9.0 * f64::from(k)), ..all[0] }).collect();
+        assert!(camera_over_map(&line).is_err());
+    }
+}
