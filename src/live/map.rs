@@ -1,0 +1,325 @@
+//! The map of the window: the batch mapper on its keyframes, in the frame of the maps before.
+//!
+//! Every update reconstructs the keyframes of the window from their tracks, starting from the poses of the last map.
+//! Points that both maps have align the new one with the last (Umeyama). Nothing else is carried over, so that memory
+//! and time do not grow; what is lost is that the standard deviation of lengths grows with every alignment.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use nalgebra::{Point3, Vector3};
+
+use super::LiveError;
+use super::line::MapLine;
+use super::window::{Snapshot, keyframes, known_points, resected};
+use crate::camera::Camera;
+use crate::features::tracks::{Feature, Track, TrackTable};
+use crate::ground::{
+    BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, camera_height, dominant_plane_points, find_mount,
+};
+use crate::mapper::{self, Intrinsics, PosePriors};
+use crate::math::{Rigid3, Sim3, median, umeyama};
+use crate::metric::{Fused, Kind, Level, Measured, Source, frame_on_ground, fuse};
+use crate::pipeline::Options;
+use crate::scene::{FrameId, GroundPlane, MetricFrame, MetricVerdict, ObjectId, Point3d, Reconstruction};
+use crate::trajectory::{Outlines, outline_pixels};
+
+/// Fewest keyframes of a first map: two seconds of a camera that moves.
+pub(super) const MIN_KEYS: usize = 6;
+/// Fewest points of a map, and fewest that two maps must share to be aligned.
+const MIN_POINTS: usize = 60;
+const MIN_SHARED: usize = 20;
+/// Share of its keyframes that a map must register.
+const MIN_REGISTERED: f64 = 0.7;
+/// Views that must show a point: keyframes are far apart, and of two every match is consistent.
+const MIN_TRACK: usize = 3;
+/// Error of image positions by poses of the last map, pixels.
+const PRIOR_PX: f64 = 4.0;
+/// Standard deviation of the focal length, as a share, below which an estimate is not trusted: windows share views,
+/// so that what they add is less than their number suggests.
+const LEAST_FOCAL_STD: f64 = 0.01;
+/// Number of points, of those that two maps share, that count as independent: errors of neighbors are alike.
+const INDEPENDENT: f64 = 20.0;
+/// Standard deviation of the slope of roads, radians; as in the stage `metric`.
+const SLOPE_STD: f64 = 0.035;
+/// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
+const NOMINAL_HEIGHT_M: f64 = 10.0;
+
+/// A map, and what is derived from it.
+pub(super) struct WorldMap {
+    pub(super) revision: u32,
+    /// Keyframes and all other frames of the window that could be registered.
+    pub(super) model: Reconstruction,
+    /// The same without images.
+    pub(super) local: Reconstruction,
+    pub(super) camera: Camera,
+    pub(super) focal_std: Option<f64>,
+    /// True if it is in the frame of the map before.
+    pub(super) is_continued: bool,
+    pub(super) ground: Ground,
+    /// Meters, or lengths of an arbitrary unit.
+    pub(super) frame: MetricFrame,
+    pub(super) is_metric: bool,
+    /// Time of the last frame, seconds.
+    pub(super) time_s: f64,
+    pub(super) line: MapLine,
+}
+
+/// Sources of ground planes.
+#[derive(Default)]
+pub(super) struct Ground {
+    dominant: Option<DominantPlane>,
+    mount: Option<Mount>,
+}
+
+impl Ground {
+    /// The planes below an object in the images of a model.
+    pub(super) fn planes(
+        &self,
+        model: &Reconstruction,
+        outlines: &Outlines,
+        id: ObjectId,
+        options: &Options,
+    ) -> BTreeMap<FrameId, GroundPlane> {
+        let contact = &options.scale.joint.contact;
+        let chain = GroundChain {
+            background: model,
+            labelled: &[],
+            dominant: self.dominant.as_ref(),
+            mount: self.mount.as_ref(),
+            hovering: None,
+            shape: BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation },
+        };
+        let pixels = outlines.get(&id).map(outline_pixels).unwrap_or_default();
+        chain.planes_below(id, &pixels, &options.ground, options.seed).planes
+    }
+}
+
+/// Makes one map after the other.
+pub(super) struct Mapper {
+    options: Options,
+    camera: Camera,
+    known: Intrinsics,
+    revision: u32,
+    last: Option<Reconstruction>,
+    /// The vertical and origin of the local frame: those of the first map.
+    level: Option<Level>,
+    /// Heights of the camera above the ground in all maps of this frame, units: sum and number.
+    heights: (f64, f64),
+    /// Meters per unit where nothing gives them, held from the first map on.
+    nominal: Option<f64>,
+    /// Variance of the logarithm of lengths by the alignments so far.
+    drift: f64,
+}
+
+impl Mapper {
+    pub(super) fn new(options: &Options, camera: Camera, known: Intrinsics) -> Self {
+        Self {
+            options: options.clone(),
+            camera,
+            known,
+            revision: 0,
+            last: None,
+            level: None,
+            heights: (0.0, 0.0),
+            nominal: None,
+            drift: 0.0,
+        }
+    }
+
+    /// Makes the map of a window; `None` where its frames do not give one.
+    ///
+    /// # Errors
+    /// [`LiveError::Mapper`], which would be a bug.
+    pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Option<WorldMap>, LiveError> {
+        let begin = Instant::now();
+        let keys = keyframes(snapshot);
+        let table = of_keyframes(&snapshot.table, &keys);
+        let pose = |&view: &usize| snapshot.poses.get(&snapshot.frames[view].id).copied();
+        let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
+        let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
+        let options = mapper::Options { max_starts: 1, ..self.options.background.mapper.clone() };
+        let seed = self.options.seed;
+        let (mut model, report) = mapper::reconstruct_watched(
+            &table,
+            &[self.camera],
+            self.known,
+            &options,
+            seed,
+            priors.as_ref(),
+            &mut |_| {},
+        )?;
+        let is_usable = model.images.len() as f64 >= MIN_REGISTERED * keys.len() as f64;
+        let Some(camera) = model.cameras.values().next().copied().filter(|_| is_usable) else { return Ok(None) };
+        if model.points.len() < MIN_POINTS {
+            return Ok(None);
+        }
+        let is_continued = self.align(&mut model);
+        (self.camera, self.revision) = (camera, self.revision + 1);
+        let focal_std = report.focal_deviations.first().copied().flatten();
+        if let Some(std) = focal_std {
+            self.known = Intrinsics { focal: self.known.focal.min(std.max(LEAST_FOCAL_STD)), ..self.known };
+        }
+        self.last = Some(model.clone());
+        let (keyframes, points) = (model.images.len(), model.points.len());
+        register_others(&mut model, snapshot, &camera);
+        let dominant = dominant_plane_points(&self.last.as_ref().unwrap_or(&model), &self.options.ground, seed);
+        let mount = find_mount(&model, None, &self.options.ground, seed).ok();
+        let problem = dominant.as_ref().err().map(ToString::to_string);
+        let ground = Ground { dominant: dominant.ok(), mount };
+        let (frame, is_metric) = self.metric(&model, &ground, focal_std.unwrap_or(0.0));
+        let time_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s);
+        let line = MapLine {
+            t: time_s,
+            revision: self.revision,
+            keyframes,
+            points,
+            focal_px: camera.mean_focal(),
+            focal_std,
+            is_continued,
+            drift_std: self.drift.sqrt(),
+            scale: is_metric.then_some(frame.scale),
+            scale_std: is_metric.then_some(frame.std.scale),
+            problem,
+            seconds: begin.elapsed().as_secs_f64(),
+        };
+        let revision = self.revision;
+        let local = Reconstruction { images: BTreeMap::new(), ..model.clone() };
+        Ok(Some(WorldMap {
+            revision,
+            model,
+            local,
+            camera,
+            focal_std,
+            is_continued,
+            ground,
+            frame,
+            is_metric,
+            time_s,
+            line,
+        }))
+    }
+
+    /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.
+    fn align(&mut self, model: &mut Reconstruction) -> bool {
+        let found = self.last.as_ref().and_then(|last| alignment(model, last));
+        match found {
+            Some((last_from_model, variance)) => {
+                model.transform(&last_from_model);
+                self.drift += variance;
+                true
+            }
+            None => {
+                (self.level, self.heights, self.nominal, self.drift) = (None, (0.0, 0.0), None, 0.0);
+                false
+            }
+        }
+    }
+
+    /// The metric frame, and whether its meters are known.
+    fn metric(&mut self, model: &Reconstruction, ground: &Ground, focal_std: f64) -> (MetricFrame, bool) {
+        let none = Vec::new();
+        let points = ground.dominant.as_ref().map_or(&none, |dominant| &dominant.point_ids);
+        let below = camera_height(model, points, &self.options.ground, self.options.seed).ok();
+        // The camera's height is its mean over all frames, as for a run.
+        let mount = ground.mount.as_ref().and_then(|mount| Measured::new(mount.height, mount.height_std));
+        let height = mount.or_else(|| below.as_ref().and_then(|below| Measured::new(below.mean, below.std)));
+        if let Some(height) = height {
+            self.heights = (self.heights.0 + height.value, self.heights.1 + 1.0);
+        }
+        let mean = height.and_then(|height| {
+            let value = self.heights.0 / self.heights.1;
+            Measured::new(value, (height.std / height.value * value).hypot(focal_std * value))
+        });
+        let surveyed = |name: &str, (log_scale, std): (f64, f64)| {
+            let std = std.hypot(self.drift.sqrt());
+            Source { name: name.to_owned(), kind: Kind::Surveyed, log_scale, std }
+        };
+        let metric = &self.options.metric;
+        let of_scale = metric.scale.map(|scale| surveyed("given scale", scale.log()));
+        let of_height = metric.camera_height.zip(mean);
+        let of_height = of_height.map(|(given, units)| surveyed("camera height", given.log_ratio(&units)));
+        let sources: Vec<Source> = of_scale.into_iter().chain(of_height).collect();
+        let level = *self.level.get_or_insert_with(|| level(model, below.as_ref()));
+        let known = fuse(&sources);
+        let is_metric = known.is_some();
+        let nominal = *self.nominal.get_or_insert(mean.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
+        let verdict = MetricVerdict::Unknown;
+        let unit = || Fused { scale: nominal, std: 0.0, verdict, shares: Vec::new(), contradictions: Vec::new() };
+        let fused = known.unwrap_or_else(unit);
+        (frame_on_ground(&fused, &level), is_metric)
+    }
+}
+
+/// The vertical and the origin; as in the stage `metric`.
+fn level(model: &Reconstruction, below: Option<&CameraHeight>) -> Level {
+    /// Standard deviation of a camera's tilt where no ground is visible, radians.
+    const CAMERA_TILT_STD: f64 = 0.5;
+    let poses = || model.images.values().map(|image| image.cam_from_world);
+    let of_cameras = || poses().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum::<Vector3<f64>>();
+    let (up, tilt_std) = below.map_or_else(
+        || (of_cameras(), CAMERA_TILT_STD),
+        |below| (below.up_in_world, SLOPE_STD.hypot(0.5 * below.tilt_spread)),
+    );
+    let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
+    let first = poses().next().unwrap_or_else(Rigid3::identity);
+    let (forward, upper) = (first.rotation.inverse() * Vector3::z(), first.rotation.inverse() * -Vector3::y());
+    // Straight down the upper edge of the image points ahead.
+    let ahead_in_world = if forward.angle(&-up_in_world) < 0.3 { upper } else { forward };
+    let origin_in_world = below.map_or_else(|| first.center(), |below| below.foot_in_world);
+    Level { up_in_world, tilt_std, ahead_in_world, origin_in_world }
+}
+
+/// The tracks of some views.
+fn of_keyframes(table: &TrackTable, keys: &[usize]) -> TrackTable {
+    let mut place = vec![None; table.views.len()];
+    keys.iter().enumerate().for_each(|(k, &view)| place[view] = Some(k as u32));
+    let of_track = |track: &Track| {
+        let kept = track.iter().filter_map(|f| Some(Feature { view: place[f.view as usize]?, feature: f.feature }));
+        Some(kept.collect::<Track>()).filter(|track| track.len() >= MIN_TRACK)
+    };
+    let views = keys.iter().map(|&view| table.views[view].clone()).collect();
+    TrackTable { views, tracks: table.tracks.iter().filter_map(of_track).collect() }
+}
+
+/// The similarity between two maps by the points that they share, and the variance of its logarithmic scale.
+fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64)> {
+    let shared = |point: &Point3d| {
+        let before = point.track.iter().find_map(|element| {
+            last.images.get(&element.image)?.observations.get(element.observation_idx as usize)?.point
+        })?;
+        Some((point.position, last.points.get(&before)?.position))
+    };
+    let mut pairs: Vec<(Point3<f64>, Point3<f64>)> = model.points.values().filter_map(shared).collect();
+    let mut found = None;
+    // Points far away have large errors: those within three times the median residual decide.
+    for _ in 0..4 {
+        if pairs.len() < MIN_SHARED {
+            return None;
+        }
+        let (from, to): (Vec<_>, Vec<_>) = pairs.iter().copied().unzip();
+        let similarity = umeyama(&from, &to)?;
+        let residual = |(from, to): &(Point3<f64>, Point3<f64>)| (similarity * *from - to).norm();
+        let typical = median(pairs.iter().map(residual).collect())?;
+        let center = Point3::from(to.iter().map(|p| p.coords).sum::<Vector3<f64>>() / to.len() as f64);
+        let spread = median(to.iter().map(|p| (p - center).norm()).collect())?;
+        let count = (pairs.len() as f64).min(INDEPENDENT);
+        found = Some((similarity, (typical / spread).powi(2) / count));
+        pairs.retain(|pair| residual(pair) <= 3.0 * typical);
+    }
+    found.filter(|(similarity, variance)| similarity.scale.is_finite() && variance.is_finite())
+}
+
+/// Adds the frames of the window that are no keyframes.
+fn register_others(model: &mut Reconstruction, snapshot: &Snapshot, camera: &Camera) {
+    let is_open = |view: &usize| !model.images.contains_key(&snapshot.table.views[*view].image);
+    let views: Vec<usize> = (0..snapshot.frames.len()).filter(is_open).collect();
+    let points = known_points(&snapshot.table, model, &views);
+    for (&view, points) in views.iter().zip(points) {
+        let seen = &snapshot.table.views[view];
+        let before = model.images.range(..seen.image).next_back().map(|(_, image)| image.cam_from_world);
+        if let Some(image) = resected(&seen.pixels, &seen.name, points, model, camera, before) {
+            model.images.insert(seen.image, image);
+        }
+    }
+}
