@@ -11,6 +11,8 @@ use crate::scene::{NoContact, ObjectId};
 pub enum Line {
     /// A vehicle in one frame.
     Vehicle(VehicleLine),
+    /// The camera in one frame.
+    Camera(CameraLine),
     /// The map around the camera was updated.
     Map(MapLine),
     /// The workload was reduced, or a reduction was taken back.
@@ -27,6 +29,16 @@ pub enum State {
     Provisional,
     /// From the frames before and after it; it is not revised any more.
     Final,
+}
+
+/// Method of a position.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum PositionMethod {
+    /// Of the point of the ground below the middle of the lower mask edge.
+    GroundContact,
+    /// Of the center of the 3D model.
+    Model,
 }
 
 /// Unit of length of positions.
@@ -61,8 +73,10 @@ pub struct VehicleLine {
     pub rect: [f64; 4],
     /// Unit of all lengths.
     pub unit: LengthUnit,
-    /// Contact point with the ground: the local frame has z up and its origin below the first camera. Null where there
-    /// is none.
+    /// Method of the position; null where there is none.
+    pub method: Option<PositionMethod>,
+    /// Position in the local frame: z up, the second axis ahead, the origin below the first camera. Null where there is
+    /// none.
     pub position: Option<[f64; 3]>,
     /// Covariance of the position: xx, xy, xz, yy, yz, zz. Null with it.
     pub covariance: Option<[f64; 6]>,
@@ -78,6 +92,25 @@ pub struct VehicleLine {
     pub heading_std_deg: Option<f64>,
     /// Seconds from the decoding of the frame, or of the last frame of the window of a final position, to this line.
     pub lag_s: f64,
+}
+
+/// The camera in one frame.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct CameraLine {
+    /// Time of the frame, seconds of the recording.
+    pub t: f64,
+    /// Index of the frame in the recording, from 0.
+    pub frame: u32,
+    /// State of the pose.
+    pub state: State,
+    /// Number of the map that the pose refers to.
+    pub revision: u32,
+    /// Unit of all lengths.
+    pub unit: LengthUnit,
+    /// Center, in the local frame.
+    pub position: [f64; 3],
+    /// Rotation from the local frame to that of the camera (x right, y down, z forward), as a unit quaternion.
+    pub rotation_wxyz: [f64; 4],
 }
 
 /// The map around the camera.
@@ -103,7 +136,9 @@ pub struct MapLine {
     pub scale: Option<f64>,
     /// Their standard deviation.
     pub scale_std: Option<f64>,
-    /// Problem of the ground or of the scale.
+    /// Vehicles with a 3D model.
+    pub models: usize,
+    /// Problem of the ground.
     pub problem: Option<String>,
     /// Time of computation, seconds.
     pub seconds: f64,

@@ -2,8 +2,8 @@
 
 /// Reductions in the order in which they come into force.
 const REDUCTIONS: [&str; 4] = ["masks at 1 Hz", "detector at 1 Hz", "every second frame", "every fourth frame"];
-/// Time from one look of the detector to the next, and of the mask network, seconds: those of a run.
-const DETECTOR_S: f64 = 0.2;
+/// Time from one look of the detector to the next, and of the mask network, seconds: a run detects twice as often.
+const DETECTOR_S: f64 = 0.4;
 const MASKS_S: f64 = 0.4;
 /// The same where it is reduced.
 const REDUCED_S: f64 = 1.0;
@@ -11,8 +11,8 @@ const REDUCED_S: f64 = 1.0;
 const REACTION_S: f64 = 1.0;
 /// Time without overload after which the last reduction is taken back, seconds.
 const RECOVERY_S: f64 = 5.0;
-/// Share of the time between frames that processing may take: beyond, frames are dropped soon.
-const OVERLOAD: f64 = 1.0;
+/// Share of frames that may be dropped: one is, now and then, where a map and a look of the detector coincide.
+const MAX_DROPPED: f64 = 0.15;
 /// Share below which there is room for more work: what a reduction saves is at most a half.
 const ROOM: f64 = 0.6;
 
@@ -25,7 +25,11 @@ pub(super) struct Load {
     /// Since then: times of processing and of the frames, seconds.
     busy_s: f64,
     spent_s: f64,
+    /// Frames processed and dropped since then.
+    num_done: u64,
+    num_dropped: u64,
     last_s: Option<f64>,
+    last_dropped: u64,
     count: u64,
 }
 
@@ -51,25 +55,29 @@ impl Load {
         REDUCTIONS[..self.level].to_vec()
     }
 
-    /// Takes the time of a frame and that of its processing; gives the reason of a change.
-    pub(super) fn note(&mut self, time_s: f64, busy_s: f64) -> Option<String> {
-        let step_s = self.last_s.map_or(0.0, |last| time_s - last);
-        self.last_s = Some(time_s);
+    /// Takes the time of a frame, that of its processing, and the number of frames dropped so far; gives the reason of a
+    /// change.
+    pub(super) fn note(&mut self, time_s: f64, busy_s: f64, num_dropped: u64) -> Option<String> {
+        self.spent_s += self.last_s.map_or(0.0, |last| time_s - last);
         self.busy_s += busy_s;
-        self.spent_s += step_s;
+        self.num_done += 1;
+        // What was dropped before the first frame is the start of the program.
+        self.num_dropped += self.last_s.map_or(0, |_| num_dropped - self.last_dropped);
+        (self.last_s, self.last_dropped) = (Some(time_s), num_dropped);
         if self.spent_s < REACTION_S {
             return None;
         }
-        let share = self.busy_s / self.spent_s;
+        let (share, dropped) = (self.busy_s / self.spent_s, self.num_dropped);
+        let is_overload = dropped as f64 > MAX_DROPPED * (dropped + self.num_done) as f64;
+        (self.busy_s, self.spent_s, self.num_done, self.num_dropped) = (0.0, 0.0, 0, 0);
         let percent = 100.0 * share;
-        (self.busy_s, self.spent_s) = (0.0, 0.0);
-        if share > OVERLOAD {
+        if is_overload {
             self.since_s = time_s;
             if self.level == REDUCTIONS.len() {
                 return None;
             }
             self.level += 1;
-            return Some(format!("processing takes {percent:.0} % of the time"));
+            return Some(format!("{dropped} frames dropped within {REACTION_S:.0} s"));
         }
         if self.level > 0 && share < ROOM && time_s - self.since_s >= RECOVERY_S {
             (self.level, self.since_s) = (self.level - 1, time_s);
@@ -83,21 +91,33 @@ impl Load {
 mod tests {
     use super::*;
 
-    /// Runs frames of 0.1 s from a time on; gives the changes of level.
-    fn run(load: &mut Load, from_s: f64, to_s: f64, busy_s: f64) -> Vec<usize> {
-        let times = (0..).map(|k| from_s + 0.1 * f64::from(k)).take_while(|time| *time < to_s);
-        times.filter_map(|time| load.note(time, busy_s).map(|_| load.level())).collect()
+    /// Runs frames of 0.1 s from a time on, of which every other one is dropped; gives the changes of level.
+    fn run(load: &mut Load, from_s: f64, to_s: f64, busy_s: f64, drops: bool) -> Vec<usize> {
+        let step_s = if drops { 0.2 } else { 0.1 };
+        let times = (0..).map(|k| from_s + step_s * f64::from(k)).take_while(|time| *time < to_s);
+        let note = |time: f64| {
+            let dropped = load.last_dropped + u64::from(drops);
+            load.note(time, busy_s, dropped).map(|_| load.level())
+        };
+        times.filter_map(note).collect()
     }
 
     #[test]
     fn work_is_reduced_in_order_and_taken_back() {
         let mut load = Load::default();
-        assert!(run(&mut load, 0.0, 3.0, 0.09).is_empty());
-        assert_eq!(run(&mut load, 3.0, 8.5, 0.2), [1, 2, 3, 4]);
+        assert!(run(&mut load, 0.0, 3.0, 0.09, false).is_empty());
+        assert_eq!(run(&mut load, 3.0, 9.5, 0.2, true), [1, 2, 3, 4]);
         assert_eq!(load.periods_s(), [1.0, 1.0]);
         assert_eq!((0..8).filter(|_| !load.skips()).count(), 2);
-        assert!(run(&mut load, 8.5, 12.0, 0.03).is_empty(), "not before 5 s without lag");
-        assert_eq!(run(&mut load, 12.0, 40.0, 0.03), [3, 2, 1, 0]);
-        assert_eq!((load.periods_s(), load.skips()), ([0.2, 0.4], false));
+        assert!(run(&mut load, 9.5, 13.0, 0.03, false).is_empty(), "not before 5 s without lag");
+        assert_eq!(run(&mut load, 13.0, 40.0, 0.03, false), [3, 2, 1, 0]);
+        assert_eq!((load.periods_s(), load.skips()), ([DETECTOR_S, MASKS_S], false));
+    }
+
+    #[test]
+    fn work_without_room_is_not_taken_back() {
+        let mut load = Load::default();
+        assert_eq!(run(&mut load, 0.0, 2.0, 0.2, true), [1]);
+        assert!(run(&mut load, 2.0, 30.0, 0.08, false).is_empty());
     }
 }

@@ -10,10 +10,10 @@ use std::time::Instant;
 use nalgebra::{Point3, Vector3};
 
 use super::LiveError;
-use super::line::MapLine;
-use super::window::{Snapshot, keyframes, known_points, resected};
+use super::line::{CameraLine, LengthUnit, MapLine, State};
+use super::models::{self, Model};
+use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
 use crate::camera::Camera;
-use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::ground::{
     BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, camera_height, dominant_plane_points, find_mount,
 };
@@ -21,7 +21,7 @@ use crate::mapper::{self, Intrinsics, PosePriors};
 use crate::math::{Rigid3, Sim3, median, umeyama};
 use crate::metric::{Fused, Kind, Level, Measured, Source, frame_on_ground, fuse};
 use crate::pipeline::Options;
-use crate::scene::{FrameId, GroundPlane, MetricFrame, MetricVerdict, ObjectId, Point3d, Reconstruction};
+use crate::scene::{Frame, FrameId, GroundPlane, MetricFrame, MetricVerdict, ObjectId, Point3d, Reconstruction};
 use crate::trajectory::{Outlines, outline_pixels};
 
 /// Fewest keyframes of a first map: two seconds of a camera that moves.
@@ -63,6 +63,25 @@ pub(super) struct WorldMap {
     /// Time of the last frame, seconds.
     pub(super) time_s: f64,
     pub(super) line: MapLine,
+    /// Vehicles with a model, by their provisional ids.
+    pub(super) models: BTreeMap<ObjectId, Model>,
+}
+
+impl WorldMap {
+    /// A pose in the local frame.
+    pub(super) fn camera_line(&self, frame: &Frame, cam_from_world: &Rigid3, state: State) -> CameraLine {
+        let pose = self.frame.metric_from_world().transform_camera(cam_from_world);
+        let q = pose.rotation.into_inner();
+        CameraLine {
+            t: frame.time_s,
+            frame: frame.id.0,
+            state,
+            revision: self.revision,
+            unit: if self.is_metric { LengthUnit::M } else { LengthUnit::Arbitrary },
+            position: pose.center().coords.into(),
+            rotation_wxyz: [q.w, q.i, q.j, q.k],
+        }
+    }
 }
 
 /// Sources of ground planes.
@@ -81,17 +100,21 @@ impl Ground {
         id: ObjectId,
         options: &Options,
     ) -> BTreeMap<FrameId, GroundPlane> {
+        let pixels = outlines.get(&id).map(outline_pixels).unwrap_or_default();
+        self.chain(model, options).planes_below(id, &pixels, &options.ground, options.seed).planes
+    }
+
+    /// All sources in order.
+    pub(super) fn chain<'a>(&'a self, model: &'a Reconstruction, options: &Options) -> GroundChain<'a> {
         let contact = &options.scale.joint.contact;
-        let chain = GroundChain {
+        GroundChain {
             background: model,
             labelled: &[],
             dominant: self.dominant.as_ref(),
             mount: self.mount.as_ref(),
             hovering: None,
             shape: BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation },
-        };
-        let pixels = outlines.get(&id).map(outline_pixels).unwrap_or_default();
-        chain.planes_below(id, &pixels, &options.ground, options.seed).planes
+        }
     }
 }
 
@@ -134,7 +157,7 @@ impl Mapper {
     pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Option<WorldMap>, LiveError> {
         let begin = Instant::now();
         let keys = keyframes(snapshot);
-        let table = of_keyframes(&snapshot.table, &keys);
+        let table = sub_table(&snapshot.table, &keys, MIN_TRACK);
         let pose = |&view: &usize| snapshot.poses.get(&snapshot.frames[view].id).copied();
         let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
         let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
@@ -180,12 +203,13 @@ impl Mapper {
             drift_std: self.drift.sqrt(),
             scale: is_metric.then_some(frame.scale),
             scale_std: is_metric.then_some(frame.std.scale),
+            models: 0,
             problem,
-            seconds: begin.elapsed().as_secs_f64(),
+            seconds: 0.0,
         };
         let revision = self.revision;
         let local = Reconstruction { images: BTreeMap::new(), ..model.clone() };
-        Ok(Some(WorldMap {
+        let mut map = WorldMap {
             revision,
             model,
             local,
@@ -197,7 +221,14 @@ impl Mapper {
             is_metric,
             time_s,
             line,
-        }))
+            models: BTreeMap::new(),
+        };
+        for subject in &snapshot.subjects {
+            let found = models::place(subject, &map, &snapshot.outlines, &snapshot.frames, &self.options)?;
+            map.models.extend(found.map(|model| (subject.object, model)));
+        }
+        (map.line.models, map.line.seconds) = (map.models.len(), begin.elapsed().as_secs_f64());
+        Ok(Some(map))
     }
 
     /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.
@@ -270,18 +301,6 @@ fn level(model: &Reconstruction, below: Option<&CameraHeight>) -> Level {
     Level { up_in_world, tilt_std, ahead_in_world, origin_in_world }
 }
 
-/// The tracks of some views.
-fn of_keyframes(table: &TrackTable, keys: &[usize]) -> TrackTable {
-    let mut place = vec![None; table.views.len()];
-    keys.iter().enumerate().for_each(|(k, &view)| place[view] = Some(k as u32));
-    let of_track = |track: &Track| {
-        let kept = track.iter().filter_map(|f| Some(Feature { view: place[f.view as usize]?, feature: f.feature }));
-        Some(kept.collect::<Track>()).filter(|track| track.len() >= MIN_TRACK)
-    };
-    let views = keys.iter().map(|&view| table.views[view].clone()).collect();
-    TrackTable { views, tracks: table.tracks.iter().filter_map(of_track).collect() }
-}
-
 /// The similarity between two maps by the points that they share, and the variance of its logarithmic scale.
 fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64)> {
     let shared = |point: &Point3d| {
@@ -318,8 +337,82 @@ fn register_others(model: &mut Reconstruction, snapshot: &Snapshot, camera: &Cam
     for (&view, points) in views.iter().zip(points) {
         let seen = &snapshot.table.views[view];
         let before = model.images.range(..seen.image).next_back().map(|(_, image)| image.cam_from_world);
-        if let Some(image) = resected(&seen.pixels, &seen.name, points, model, camera, before) {
+        if let Some(image) = resected(&seen.pixels, &seen.name, points, model, camera, before, &LIMITS) {
             model.images.insert(seen.image, image);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::tracks::{Feature, TrackTable, View};
+    use crate::scene::{Image, ImageId, TrackElement};
+    use crate::synthetic::scene::{self, CameraMotion, static_scene};
+
+    /// What a window of a scene shows.
+    fn snapshot(scene: &Reconstruction, views: std::ops::Range<u32>) -> Snapshot {
+        let images: Vec<_> = views.map(|k| (ImageId(k + 1), &scene.images[&ImageId(k + 1)])).collect();
+        let mut table = TrackTable::default();
+        for (id, image) in &images {
+            let pixels: Vec<_> = image.observations.iter().map(|seen| seen.pixel).collect();
+            let (rgb, whitening) = (vec![[0; 3]; pixels.len()], Vec::new());
+            table.views.push(View { image: *id, name: image.name.clone(), camera: 0, pixels, rgb, whitening });
+        }
+        for point in scene.points.values() {
+            let place = |image: ImageId| images.iter().position(|(id, _)| *id == image);
+            let feature = |e: &TrackElement| Some(Feature { view: place(e.image)? as u32, feature: e.observation_idx });
+            table.tracks.push(point.track.iter().filter_map(feature).collect());
+        }
+        let frame = |(id, image): &(ImageId, &Image)| Frame {
+            id: id.frame(),
+            name: image.name.clone(),
+            time_s: 0.1 * f64::from(id.0),
+        };
+        let frames: Vec<Frame> = images.iter().map(frame).collect();
+        // Every third is a keyframe.
+        let is_key = (0..frames.len()).map(|k| k % 3 == 0).collect();
+        let (poses, subjects, outlines) = Default::default();
+        Snapshot { table, frames, is_key, poses, subjects, outlines }
+    }
+
+    #[test]
+    fn maps_continue_in_the_frame_of_the_first() {
+        let options = scene::Options {
+            num_images: 60,
+            num_points: 4000,
+            path: CameraMotion::Flight,
+            noise_px: 0.1,
+            ..scene::Options::default()
+        };
+        let scene = static_scene(&options);
+        let mut mapper = Mapper::new(&Options::default(), options.camera, Intrinsics::FIXED);
+        let mut maps: Vec<WorldMap> = Vec::new();
+        for begin in [0, 10, 20] {
+            let mut snapshot = snapshot(&scene, begin..begin + 40);
+            let images = maps.iter().flat_map(|map| &map.model.images);
+            snapshot.poses = images.map(|(id, image)| (id.frame(), image.cam_from_world)).collect();
+            maps.push(mapper.update(&snapshot).unwrap().expect("a map"));
+        }
+        assert_eq!(maps.iter().map(|map| map.is_continued).collect::<Vec<_>>(), [false, true, true]);
+        assert!(maps.iter().all(|map| map.model.images.len() == 40), "the others are registered");
+        // From the true frame to that of the first map, by its cameras; the last ones were not among them.
+        let center = |model: &Reconstruction, k: u32| model.images[&ImageId(k + 1)].cam_from_world.center();
+        let (from, to): (Vec<_>, Vec<_>) = scene
+            .points
+            .values()
+            .filter_map(|point| {
+                let e = point.track.first()?;
+                let seen = maps[0].model.images.get(&e.image)?.observations[e.observation_idx as usize].point?;
+                Some((point.position, maps[0].model.points[&seen].position))
+            })
+            .unzip();
+        let first_from_true = umeyama(&from, &to).unwrap();
+        let error = (center(&maps[2].model, 59) - first_from_true * center(&scene, 59)).norm();
+        let length = first_from_true.scale * (center(&scene, 59) - center(&scene, 0)).norm();
+        assert!(error < 0.02 * length, "{error} of {length}");
+        assert!(maps[2].line.drift_std > 0.0 && maps[0].line.drift_std == 0.0);
+        let far = mapper.update(&snapshot(&static_scene(&scene::Options { seed: 5, ..options }), 0..3)).unwrap();
+        assert!(far.is_none(), "three views are no map");
     }
 }

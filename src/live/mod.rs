@@ -13,6 +13,7 @@ mod frames;
 mod line;
 mod load;
 mod map;
+mod models;
 mod perception;
 mod vehicles;
 mod window;
@@ -24,7 +25,7 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, channel, sync_channel}
 use std::thread;
 use std::time::{Duration, Instant};
 
-pub use line::{EndLine, LengthUnit, Line, LoadLine, MapLine, State, VehicleLine};
+pub use line::{CameraLine, EndLine, LengthUnit, Line, LoadLine, MapLine, PositionMethod, State, VehicleLine};
 
 use crate::camera::Camera;
 use crate::features::FeatureError;
@@ -185,6 +186,7 @@ impl Live<'_> {
         self.take_map(Wait::No)?;
         let seen = self.perception.push(&frame, &picture, self.load.periods_s())?;
         self.vehicles.push(&frame, at, seen, self.perception.identities());
+        self.vehicles.track_points(&frame, &picture, self.perception.masks(), self.window.camera())?;
         let perceived = Instant::now();
         let longer_px = f64::from(picture.width().max(picture.height()));
         let dilation_px = (self.options.masking.dilation * longer_px).round() as u32;
@@ -194,6 +196,10 @@ impl Live<'_> {
         let tracked = Instant::now();
         self.end.registered += u64::from(image.is_some());
         self.end.frames += 1;
+        if let Some((map, (_, image))) = self.map.as_ref().zip(image.as_ref()) {
+            let camera = map.camera_line(&frame, &image.cam_from_world, State::Provisional);
+            self.send(Line::Camera(camera))?;
+        }
         let lines = self.vehicles.provisional(self.map.as_ref(), image, self.options);
         self.write(lines)?;
         self.request_map(frame.time_s);
@@ -204,9 +210,13 @@ impl Live<'_> {
     }
 
     fn note_load(&mut self, time_s: f64, busy: Duration) -> Result<(), LiveError> {
-        let Some(reason) = self.load.note(time_s, busy.as_secs_f64()) else { return Ok(()) };
+        let Some(reason) = self.load.note(time_s, busy.as_secs_f64(), self.end.dropped) else { return Ok(()) };
         let (level, reductions, dropped) = (self.load.level(), self.load.reductions(), self.end.dropped);
         self.send(Line::Load(LoadLine { t: time_s, level, reductions, reason, dropped }))
+    }
+
+    fn snapshot(&self) -> Snapshot {
+        self.window.snapshot(self.vehicles.subjects(), self.vehicles.outlines().clone())
     }
 
     /// Hands the window to the worker if it is idle and a map is due.
@@ -216,7 +226,7 @@ impl Live<'_> {
             None => self.window.num_keys() >= MIN_KEYS,
         };
         if is_due && !self.worker.is_busy {
-            self.worker.request(self.window.snapshot());
+            self.worker.request(self.snapshot());
         }
     }
 
@@ -224,9 +234,14 @@ impl Live<'_> {
     fn take_map(&mut self, wait: Wait) -> Result<(), LiveError> {
         let Some(map) = self.worker.poll(wait)? else { return Ok(()) };
         self.window.take_poses(&map);
-        let lines = self.vehicles.take_map(&map, wait == Wait::ForLast, self.options);
+        let (frames, lines) = self.vehicles.take_map(&map, wait == Wait::ForLast, self.options);
         self.end.maps += 1;
         self.send(Line::Map(map.line.clone()))?;
+        for frame in frames {
+            if let Some(image) = map.model.images.get(&frame.id.into()) {
+                self.send(Line::Camera(map.camera_line(&frame, &image.cam_from_world, State::Final)))?;
+            }
+        }
         self.write(lines)?;
         self.map = Some(map);
         Ok(())
@@ -245,7 +260,7 @@ impl Live<'_> {
         if !is_stopped() {
             self.take_map(Wait::Yes)?;
             if self.window.num_keys() >= MIN_KEYS {
-                self.worker.request(self.window.snapshot());
+                self.worker.request(self.snapshot());
                 self.take_map(Wait::ForLast)?;
             }
         }

@@ -8,12 +8,12 @@ use super::LiveError;
 use crate::ffi::onnx::Resources;
 use crate::memory::MemoryLimit;
 use crate::networks::{
-    BoxSegmenter, Detector, FlowEstimator, default_models, load_box_segmenter, load_detector, load_flow,
+    BoxSegmenter, Detector, FlowEstimator, GrabCut, default_models, load_box_segmenter, load_detector, load_flow,
     load_small_box_segmenter,
 };
 use crate::pipeline::{DetectorChoice, MaskChoice, Options};
 use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect};
-use crate::tracking::{BoxSource, FrameInput, Tracker};
+use crate::tracking::{BoxSource, FrameInput, TrackedMask, Tracker};
 use crate::trajectory::Silhouette;
 
 /// Object that is followed.
@@ -49,6 +49,8 @@ pub(super) struct Perception {
     previous: Option<RgbImage>,
     /// Boxes of the last look of the detector, also of objects that are not followed.
     boxes: Vec<BoxDetection>,
+    /// Masks of the last frame.
+    masks: Vec<TrackedMask>,
     /// Times of the last looks of the detector and of the mask network, seconds.
     looked_s: [f64; 2],
 }
@@ -64,18 +66,18 @@ impl Perception {
     pub(super) fn new(options: &Options) -> Result<Self, LiveError> {
         let memory = options.memory_limit.unwrap_or_else(MemoryLimit::of_machine);
         let resources = Resources { num_threads: options.threads.unwrap_or(0), memory, provider: options.provider };
-        let models = default_models()?;
         let detector = match &options.vehicles.detector {
             DetectorChoice::None => None,
             DetectorChoice::File(path) => Some(load_detector(path, &options.detector, resources)?),
-            DetectorChoice::Default => Some(load_detector(&models.detector, &options.detector, resources)?),
+            DetectorChoice::Default => Some(load_detector(&default_models()?.detector, &options.detector, resources)?),
         };
         let segmenter: Box<dyn BoxSegmenter> = match options.vehicles.mask_network {
-            MaskChoice::Small => load_small_box_segmenter(&models.small_masks, &options.prompt, resources)?,
+            MaskChoice::Small => load_small_box_segmenter(&default_models()?.small_masks, &options.prompt, resources)?,
             MaskChoice::Default => {
+                let models = default_models()?;
                 load_box_segmenter(&models.mask_encoder, &models.mask_decoder, &options.prompt, resources)?
             }
-            MaskChoice::None => Box::new(crate::networks::GrabCut::new(&options.prompt)),
+            MaskChoice::None => Box::new(GrabCut::new(&options.prompt)),
         };
         Ok(Self {
             detector,
@@ -84,6 +86,7 @@ impl Perception {
             tracker: Tracker::new(options.tracker.clone()),
             previous: None,
             boxes: Vec::new(),
+            masks: Vec::new(),
             looked_s: [f64::NEG_INFINITY; 2],
         })
     }
@@ -117,12 +120,18 @@ impl Perception {
         }
         let prompter = if segments { Some(&mut *self.segmenter as &mut dyn BoxSegmenter) } else { None };
         let input = FrameInput::Boxes { found, by, prompter };
-        let masks = self.tracker.advance(frame, picture, input, flow.as_ref())?;
+        self.masks = self.tracker.advance(frame, picture, input, flow.as_ref())?;
         self.previous = Some(picture.clone());
         self.tracker.take_finished();
         let corrected = self.tracker.take_corrections();
         let corrected = corrected.iter().filter_map(|c| Outlined::of(c.object, c.frame, &c.mask));
-        Ok(masks.iter().filter_map(|m| Outlined::of(m.object, frame.id, &m.mask)).chain(corrected).collect())
+        let new = self.masks.iter().filter_map(|m| Outlined::of(m.object, frame.id, &m.mask));
+        Ok(new.chain(corrected).collect())
+    }
+
+    /// Masks of the last frame.
+    pub(super) fn masks(&self) -> &[TrackedMask] {
+        &self.masks
     }
 
     /// The pixels that show background: neither near the detector's last boxes nor near what is followed.

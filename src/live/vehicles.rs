@@ -4,17 +4,23 @@
 use std::collections::BTreeMap;
 use std::time::Instant;
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use ::image::RgbImage;
+use nalgebra::{Matrix3, Point3};
 
-use super::line::{LengthUnit, State, VehicleLine};
+use super::LiveError;
+use super::line::{LengthUnit, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
+use super::models::{Model, Subject};
 use super::perception::{Identity, Outlined};
 use super::{FINAL_S, WINDOW_S};
+use crate::camera::Camera;
+use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::metric::in_metres;
 use crate::pipeline::Options;
 use crate::scene::{
     Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, Reconstruction, Rect,
 };
+use crate::tracking::TrackedMask;
 use crate::trajectory::{
     CommonStd, ContactEvidence, Contacts, Outlines, PositionError, PositionMeasurement, contacts, smooth,
 };
@@ -23,6 +29,8 @@ use crate::trajectory::{
 const PAST_S: f64 = 3.0;
 /// Standard deviations from zero beyond which a speed has a direction.
 const MOVES: f64 = 3.0;
+/// Views of a vehicle's tracks at which those outside the window are dropped.
+const MAX_VIEWS: usize = 200;
 /// Time beyond the window for which observations are kept, seconds; as those of the background.
 const SPARE_S: f64 = 4.0;
 
@@ -33,6 +41,8 @@ struct Vehicle {
     rects: BTreeMap<FrameId, Rect>,
     /// In the frame of the last map.
     positions: BTreeMap<FrameId, GroundPosition>,
+    /// Tracks of its points.
+    points: Option<VideoFrontEnd>,
 }
 
 /// All vehicles of the window.
@@ -73,6 +83,43 @@ impl Vehicles {
             vehicle.identity = identities.remove(object).or(vehicle.identity.take());
         }
         self.forget(frame.time_s - WINDOW_S - SPARE_S);
+    }
+
+    /// Tracks points of the confirmed vehicles inside their masks.
+    pub(super) fn track_points(
+        &mut self,
+        frame: &Frame,
+        picture: &RgbImage,
+        masks: &[TrackedMask],
+        camera: Camera,
+    ) -> Result<(), LiveError> {
+        for TrackedMask { object, mask, .. } in masks {
+            let Some(vehicle) = self.vehicles.get_mut(object).filter(|vehicle| vehicle.identity.is_some()) else {
+                continue;
+            };
+            let new = || VideoFrontEnd::new(VideoOptions::object(), camera);
+            let points = vehicle.points.get_or_insert_with(new);
+            points.push(frame, picture, mask)?;
+            if points.table().views.len() >= MAX_VIEWS {
+                let first = self.frames.keys().next().copied().unwrap_or(frame.id);
+                points.retain_views(|_, view| view.image.frame() >= first);
+            }
+        }
+        Ok(())
+    }
+
+    /// Vehicles whose points are tracked.
+    pub(super) fn subjects(&self) -> Vec<Subject> {
+        let subject = |(&object, vehicle): (&ObjectId, &Vehicle)| {
+            let (Identity { class, confidence, .. }, points) = (vehicle.identity.clone()?, vehicle.points.as_ref()?);
+            Some(Subject { object, class, confidence, table: points.table().clone() })
+        };
+        self.vehicles.iter().filter_map(subject).collect()
+    }
+
+    /// Outlines of all vehicles in the window.
+    pub(super) fn outlines(&self) -> &Outlines {
+        &self.outlines
     }
 
     fn forget(&mut self, before_s: f64) {
@@ -125,10 +172,15 @@ impl Vehicles {
         lines
     }
 
-    /// Takes a new map: gives the final positions of the frames that leave the window, and revises the others.
+    /// Takes a new map: gives the frames that leave the window and their final positions, and revises the others.
     ///
     /// * `is_last` – true if all frames become final.
-    pub(super) fn take_map(&mut self, map: &WorldMap, is_last: bool, options: &Options) -> Vec<VehicleLine> {
+    pub(super) fn take_map(
+        &mut self,
+        map: &WorldMap,
+        is_last: bool,
+        options: &Options,
+    ) -> (Vec<Frame>, Vec<VehicleLine>) {
         let frames: Vec<&Frame> = self.frames.values().filter(|frame| frame.time_s <= map.time_s).collect();
         let objects: Vec<ObjectId> = self.vehicles.keys().copied().collect();
         let found: BTreeMap<ObjectId, Contacts> =
@@ -150,17 +202,24 @@ impl Vehicles {
                 vehicle.positions.clear();
             }
             vehicle.positions.extend(contacts.positions.into_iter().map(|position| (position.frame, position)));
-            let mut motions = motions(map, vehicle.positions.values());
+            let model = map.models.get(&id);
+            let by_contact = motions(map, vehicle.positions.values());
+            let by_model = model.map(|model| model_motions(map, model)).unwrap_or_default();
             for frame in &leaving {
                 let Some(&rect) = vehicle.rects.get(&frame.id) else { continue };
-                let motion = motions.remove(&frame.id);
                 let decoded = self.decoded.get(&frame.id).copied();
+                let of_model = model.and_then(|model| placed_model(map, model, frame.id));
+                let motion = by_model.get(&frame.id).or(by_contact.get(&frame.id)).copied();
                 let line = vehicle.line(frame, rect, Some(map), None, motion, decoded);
-                lines.extend(line.map(|line| VehicleLine { state: State::Final, ..line }));
+                let Some(line) = line.map(|line| VehicleLine { state: State::Final, ..line }) else { continue };
+                lines.push(match of_model {
+                    Some(found) => line.at(found, PositionMethod::Model),
+                    None => line,
+                });
             }
         }
         lines.sort_by_key(|line| line.frame);
-        lines
+        (leaving, lines)
     }
 
     fn contacts(
@@ -206,7 +265,7 @@ impl Vehicle {
             [motion.speed_m_s * heading.sin(), motion.speed_m_s * heading.cos(), 0.0]
         });
         let is_metric = map.is_some_and(|map| map.is_metric);
-        Some(VehicleLine {
+        let line = VehicleLine {
             t: frame.time_s,
             frame: frame.id.0,
             id,
@@ -216,15 +275,28 @@ impl Vehicle {
             revision: map.map_or(0, |map| map.revision),
             rect: [rect.x0, rect.y0, rect.x1, rect.y1],
             unit: if is_metric { LengthUnit::M } else { LengthUnit::Arbitrary },
-            reason: if placed.is_some() { None } else { Some(reason.unwrap_or(NoContact::NoCamera)) },
-            position: placed.map(|(position, _)| position.map(rounded)),
-            covariance: placed.map(|(_, covariance)| covariance),
+            method: None,
+            reason: Some(reason.unwrap_or(NoContact::NoCamera)),
+            position: None,
+            covariance: None,
             velocity: velocity.map(|velocity| velocity.map(rounded)),
             speed_std: motion.map(|motion| rounded(motion.speed_std_m_s)),
             heading_deg: heading.map(rounded),
             heading_std_deg: moves.and_then(|motion| motion.heading_std_deg).map(rounded),
             lag_s: decoded.map_or(0.0, |decoded| rounded(decoded.elapsed().as_secs_f64())),
+        };
+        Some(match placed {
+            Some(found) => line.at(found, PositionMethod::GroundContact),
+            None => line,
         })
+    }
+}
+
+impl VehicleLine {
+    /// The same with a position.
+    fn at(self, (position, covariance): ([f64; 3], [f64; 6]), method: PositionMethod) -> Self {
+        let (position, covariance) = (Some(position.map(rounded)), Some(covariance));
+        Self { position, covariance, method: Some(method), reason: None, ..self }
     }
 }
 
@@ -233,18 +305,21 @@ fn rounded(value: f64) -> f64 {
     (1e4 * value).round() / 1e4
 }
 
-/// Position in the local frame, and its covariance: that of the contact point, of the scale along the line of sight,
-/// and of the alignments since the first map.
-fn placed(map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 6])> {
+/// Position in the local frame, and its covariance: that of the point relative to the camera, of the scale along the
+/// line of sight, and of the alignments since the first map.
+fn placed_at(
+    map: &WorldMap,
+    frame: FrameId,
+    point: Point3<f64>,
+    covariance: &Matrix3<f64>,
+    log_ratio_std: f64,
+) -> Option<([f64; 3], [f64; 6])> {
     let metric_from_world = map.frame.metric_from_world();
-    let center = map.model.images.get(&ImageId::from(position.frame)).map(|image| image.cam_from_world.center());
-    let center = center.or_else(|| map.model.images.values().next_back().map(|image| image.cam_from_world.center()))?;
-    let point = Point3::from(position.position);
-    let ray = metric_from_world.rotation * (point - center) * metric_from_world.scale;
-    let log_std = map.frame.log_scale_std();
+    let ray = metric_from_world.rotation * (point - center(map, frame)?) * metric_from_world.scale;
+    let log_std = map.frame.log_scale_std().hypot(log_ratio_std);
     let found = metric_from_world * point;
     let drift = map.line.drift_std * found.coords.norm();
-    let covariance: Matrix3<f64> = in_metres(&map.frame, &position.error.covariance())
+    let covariance: Matrix3<f64> = in_metres(&map.frame, covariance)
         + ray * ray.transpose() * log_std.powi(2)
         + Matrix3::identity() * drift.powi(2);
     let upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|at| covariance[at]);
@@ -252,28 +327,60 @@ fn placed(map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 
     is_finite.then_some((found.coords.into(), upper))
 }
 
-/// Smooths the positions of a vehicle.
+fn placed(map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 6])> {
+    placed_at(map, position.frame, position.position.into(), &position.error.covariance(), 0.0)
+}
+
+fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<([f64; 3], [f64; 6])> {
+    placed_at(map, frame, model.position(frame)?, &model.covariance(frame), model.log_ratio_std())
+}
+
+/// The camera's center in a frame, or in the last one of the map for a frame that came after it.
+fn center(map: &WorldMap, frame: FrameId) -> Option<Point3<f64>> {
+    let images = &map.model.images;
+    let image = images.get(&ImageId::from(frame)).or_else(|| images.values().next_back())?;
+    Some(image.cam_from_world.center())
+}
+
+/// Smooths the contact points of a vehicle.
 fn motions<'a>(map: &WorldMap, positions: impl Iterator<Item = &'a GroundPosition>) -> BTreeMap<FrameId, Motion> {
     let metric_from_world = map.frame.metric_from_world();
-    let center = |position: &GroundPosition| {
-        let images = &map.model.images;
-        let image = images.get(&ImageId::from(position.frame)).or_else(|| images.values().next_back())?;
-        Some(image.cam_from_world.center())
-    };
-    let measured = |position: &GroundPosition| {
-        Some((
-            position.frame,
-            PositionMeasurement {
-                time_s: position.time_s,
-                position_m: (metric_from_world * Point3::from(position.position)).coords,
-                camera_m: (metric_from_world * center(position)?).coords,
-                forward: None::<Vector3<f64>>,
-                error: PositionError::Contact(position.error.transformed(&metric_from_world)),
-            },
-        ))
-    };
-    let (frames, measured): (Vec<FrameId>, Vec<PositionMeasurement>) = positions.filter_map(measured).unzip();
-    let common = CommonStd { ratio: 0.0, scale: map.frame.log_scale_std() };
+    let measured = positions.filter_map(|position| {
+        let error = PositionError::Contact(position.error.transformed(&metric_from_world));
+        Some((position.frame, measurement(map, position.frame, position.time_s, position.position.into(), error)?))
+    });
+    smoothed(map, measured, 0.0)
+}
+
+/// Smooths the positions of a model.
+fn model_motions(map: &WorldMap, model: &Model) -> BTreeMap<FrameId, Motion> {
+    let measured = model.trajectory.poses.iter().filter_map(|pose| {
+        let error = PositionError::Model { pose: in_metres(&map.frame, &model.covariance(pose.frame)) };
+        Some((pose.frame, measurement(map, pose.frame, pose.time_s, pose.position.into(), error)?))
+    });
+    smoothed(map, measured, model.log_ratio_std())
+}
+
+fn measurement(
+    map: &WorldMap,
+    frame: FrameId,
+    time_s: f64,
+    position: Point3<f64>,
+    error: PositionError,
+) -> Option<PositionMeasurement> {
+    let metric_from_world = map.frame.metric_from_world();
+    let position_m = (metric_from_world * position).coords;
+    let camera_m = (metric_from_world * center(map, frame)?).coords;
+    Some(PositionMeasurement { time_s, position_m, camera_m, forward: None, error })
+}
+
+fn smoothed(
+    map: &WorldMap,
+    measured: impl Iterator<Item = (FrameId, PositionMeasurement)>,
+    ratio: f64,
+) -> BTreeMap<FrameId, Motion> {
+    let (frames, measured): (Vec<FrameId>, Vec<PositionMeasurement>) = measured.unzip();
+    let common = CommonStd { ratio, scale: map.frame.log_scale_std() };
     let found = smooth(&measured, &common, Movement::Undetermined);
     found.map(|found| frames.into_iter().zip(found.motions).collect()).unwrap_or_default()
 }

@@ -6,13 +6,15 @@ use ::image::RgbImage;
 use nalgebra::Point2;
 
 use super::map::WorldMap;
+use super::models::Subject;
 use super::{LiveError, WINDOW_S};
 use crate::camera::Camera;
-use crate::features::tracks::{Track, TrackTable};
+use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::math::{Rigid3, median, seeded_rng};
 use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, Point3dId, Reconstruction};
+use crate::trajectory::Outlines;
 
 /// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
 const MAX_POINTS: usize = 700;
@@ -20,6 +22,8 @@ const MAX_POINTS: usize = 700;
 const MAX_KEYS: usize = 30;
 /// Time between keyframes at least, seconds: then they cover the window.
 const KEY_S: f64 = WINDOW_S / MAX_KEYS as f64;
+/// Keyframes of a first map, which follow one another without such a time: it is to come soon.
+const FIRST_KEYS: usize = 12;
 /// Median displacement between keyframes at least, as a share of the longer side: 12 px of 1280. A camera that does not
 /// move keeps the keyframes of before, which show depth.
 const KEY_SHIFT: f64 = 12.0 / 1280.0;
@@ -29,11 +33,18 @@ const KEY_SHARED: f64 = 0.5;
 const SPARE_S: f64 = 4.0;
 /// Views beyond the kept ones at which they are dropped. Re-detection forgets its keyframes then.
 const SPARE_VIEWS: usize = 40;
-/// Maximum error of an inlier of a pose, pixels; that of the mapper.
-const MAX_ERROR_PX: f64 = 4.0;
-/// Fewest inliers of a pose, and their share; those of the mapper.
-const MIN_INLIERS: usize = 20;
-const MIN_INLIER_RATIO: f64 = 0.2;
+/// Limits of a pose: those of the mapper for the background.
+pub(super) const LIMITS: Limits = Limits { max_error_px: 4.0, min_inliers: 20, min_inlier_ratio: 0.2 };
+
+/// Limits of a pose by resection.
+pub(super) struct Limits {
+    /// Maximum error of an inlier, pixels.
+    pub(super) max_error_px: f64,
+    /// Fewest inliers.
+    pub(super) min_inliers: usize,
+    /// Smallest share of inliers.
+    pub(super) min_inlier_ratio: f64,
+}
 
 /// State of the window that a map is made of.
 pub(super) struct Snapshot {
@@ -42,6 +53,9 @@ pub(super) struct Snapshot {
     pub(super) is_key: Vec<bool>,
     /// Poses in the frame of the last map.
     pub(super) poses: BTreeMap<FrameId, Rigid3>,
+    /// Vehicles whose points are tracked.
+    pub(super) subjects: Vec<Subject>,
+    pub(super) outlines: Outlines,
 }
 
 /// Tracks points through the latest frames.
@@ -74,14 +88,20 @@ impl Window {
         Ok(())
     }
 
+    /// The camera as the last map has it.
+    pub(super) fn camera(&self) -> Camera {
+        self.camera
+    }
+
     /// Number of keyframes.
     pub(super) fn num_keys(&self) -> usize {
         self.is_key.iter().filter(|is_key| **is_key).count()
     }
 
-    pub(super) fn snapshot(&self) -> Snapshot {
+    /// The window, with vehicles in it.
+    pub(super) fn snapshot(&self, subjects: Vec<Subject>, outlines: Outlines) -> Snapshot {
         let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
-        Snapshot { table, frames, is_key, poses: self.poses.clone() }
+        Snapshot { table, frames, is_key, poses: self.poses.clone(), subjects, outlines }
     }
 
     /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.
@@ -101,7 +121,7 @@ impl Window {
         let points = known_points(self.front_end.table(), &map.model, &[view]).pop()?;
         let before = self.frames[..view].iter().rev().find_map(|frame| self.poses.get(&frame.id)).copied();
         let table_view = &self.front_end.table().views[view];
-        let image = resected(&table_view.pixels, &table_view.name, points, &map.model, &self.camera, before)?;
+        let image = resected(&table_view.pixels, &table_view.name, points, &map.model, &self.camera, before, &LIMITS)?;
         self.poses.insert(self.frames[view].id, image.cam_from_world);
         Some((table_view.image, image))
     }
@@ -110,7 +130,8 @@ impl Window {
         let table = self.front_end.table();
         let now = self.frames.len() - 1;
         let Some(before) = self.is_key.iter().rposition(|is_key| *is_key) else { return true };
-        if self.frames[now].time_s - self.frames[before].time_s < 0.99 * KEY_S {
+        let is_early = self.frames[now].time_s - self.frames[before].time_s < 0.99 * KEY_S;
+        if is_early && self.num_keys() >= FIRST_KEYS {
             return false;
         }
         let pixel = |track: &Track, view: usize| {
@@ -159,6 +180,18 @@ pub(super) fn keyframes(snapshot: &Snapshot) -> Vec<usize> {
     keys[keys.len().saturating_sub(MAX_KEYS)..].to_vec()
 }
 
+/// The tracks of some views that at least `min_track` of them show.
+pub(super) fn sub_table(table: &TrackTable, chosen: &[usize], min_track: usize) -> TrackTable {
+    let mut place = vec![None; table.views.len()];
+    chosen.iter().enumerate().for_each(|(k, &view)| place[view] = Some(k as u32));
+    let of_track = |track: &Track| {
+        let kept = track.iter().filter_map(|f| Some(Feature { view: place[f.view as usize]?, feature: f.feature }));
+        Some(kept.collect::<Track>()).filter(|track| track.len() >= min_track)
+    };
+    let views = chosen.iter().map(|&view| table.views[view].clone()).collect();
+    TrackTable { views, tracks: table.tracks.iter().filter_map(of_track).collect() }
+}
+
 /// For some views of a table the point of a model that each feature shows, by the tracks that both have in common.
 pub(super) fn known_points(table: &TrackTable, model: &Reconstruction, views: &[usize]) -> Vec<Vec<Option<Point3dId>>> {
     let images: Vec<Option<&Image>> = table.views.iter().map(|view| model.images.get(&view.image)).collect();
@@ -191,6 +224,7 @@ pub(super) fn resected(
     model: &Reconstruction,
     camera: &Camera,
     before: Option<Rigid3>,
+    limits: &Limits,
 ) -> Option<Image> {
     let known =
         pixels.iter().zip(&points).filter_map(|(pixel, id)| Some((*pixel, model.points.get(&(*id)?)?.position)));
@@ -198,10 +232,11 @@ pub(super) fn resected(
     let data = PixelsAndPoints { camera, pixels: &seen, points: &positions };
     let is_enough = |found: &resection::Resection| {
         let inliers = found.inliers.len();
-        inliers >= MIN_INLIERS && inliers as f64 >= MIN_INLIER_RATIO * seen.len() as f64
+        inliers >= limits.min_inliers && inliers as f64 >= limits.min_inlier_ratio * seen.len() as f64
     };
-    let near = before.and_then(|pose| resection::refine_from(&data, &pose, MAX_ERROR_PX)).filter(is_enough);
-    let found = near.or_else(|| resection::estimate(&data, MAX_ERROR_PX, &mut seeded_rng(0, 0)).filter(is_enough))?;
+    let near = before.and_then(|pose| resection::refine_from(&data, &pose, limits.max_error_px)).filter(is_enough);
+    let found =
+        near.or_else(|| resection::estimate(&data, limits.max_error_px, &mut seeded_rng(0, 0)).filter(is_enough))?;
     let observations = pixels.iter().zip(points).map(|(&pixel, point)| Observation { pixel, point }).collect();
     Some(Image { name: name.to_owned(), camera: CameraId(1), cam_from_world: found.cam_from_world, observations })
 }

@@ -394,6 +394,31 @@ mod tests {
     }
 
     #[test]
+    fn a_video_that_is_still_written_gives_all_its_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        let bytes = fs::read(clip(folder.path(), 20)).unwrap();
+        let path = folder.path().join("growing.avi");
+        let (begin, rest) = bytes.split_at(bytes.len() / 3);
+        fs::write(&path, begin).unwrap();
+        let growth = Arc::new(Growth::default());
+        let source = Source::open_growing(&path, &Options::default(), growth.clone()).unwrap();
+        let mut frames = source.frames().unwrap();
+        let mut ids: Vec<u32> = frames.by_ref().take(4).map(|item| item.unwrap().0.id.0).collect();
+        let (target, rest) = (path.clone(), rest.to_owned());
+        let writer = std::thread::spawn(move || {
+            let mut file = fs::OpenOptions::new().append(true).open(target).unwrap();
+            for piece in rest.chunks(500) {
+                std::io::Write::write_all(&mut file, piece).unwrap();
+                growth.grow();
+            }
+            growth.finish();
+        });
+        ids.extend(frames.map(|item| item.unwrap().0.id.0));
+        writer.join().unwrap();
+        assert_eq!(ids, (0..20).collect::<Vec<_>>());
+    }
+
+    #[test]
     fn a_video_that_is_cut_off_gives_what_is_there_and_says_so() {
         let folder = tempfile::tempdir().unwrap();
         let path = clip(folder.path(), 30);

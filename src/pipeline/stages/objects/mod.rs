@@ -25,6 +25,7 @@ use crate::pipeline::inputs::order;
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, Topic, TrackedObject};
 use footing::Footing;
+pub use footing::object_pose_priors;
 
 const REPORTS: &str = "objects-report.json";
 /// Why there is no model where it is not the object's fault.
