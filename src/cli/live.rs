@@ -27,6 +27,8 @@ const LINES: &str = "live.jsonl";
 const CHUNK_BYTES: usize = 64 << 10;
 /// A file that has not grown for so long has ended.
 const END_OF_GROWTH: Duration = Duration::from_secs(3);
+/// Longer side at which optical flow is estimated, pixels.
+const FLOW_PX: u32 = 640;
 /// Wait for a file to grow.
 const POLL: Duration = Duration::from_millis(20);
 
@@ -86,6 +88,8 @@ fn follow(
     // The small mask network is the only one that is fast enough.
     let mut options = options.clone();
     options.vehicles.mask_network = job.mask_network.unwrap_or(MaskChoice::Small);
+    // Flow at two thirds of the usual size takes half the time.
+    options.flow.max_dimension = options.flow.max_dimension.min(FLOW_PX);
     let task = Job { recording: &path, growth, is_paced: is_file, options: &options };
     let found = live::run(&task, &mut |line| lines.write(line), &|| talk.is_stopped());
     drop(folder);

@@ -9,10 +9,10 @@ use std::time::Instant;
 
 use nalgebra::{Point3, Vector3};
 
-use super::LiveError;
 use super::line::{CameraLine, LengthUnit, MapLine, State};
 use super::models::{self, Model};
 use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
+use super::{LiveError, Purpose};
 use crate::camera::Camera;
 use crate::ground::{
     BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, camera_height, dominant_plane_points, find_mount,
@@ -62,6 +62,7 @@ pub(super) struct WorldMap {
     pub(super) is_metric: bool,
     /// Time of the last frame, seconds.
     pub(super) time_s: f64,
+    pub(super) purpose: Purpose,
     pub(super) line: MapLine,
     /// Vehicles with a model, by their provisional ids.
     pub(super) models: BTreeMap<ObjectId, Model>,
@@ -220,6 +221,7 @@ impl Mapper {
             frame,
             is_metric,
             time_s,
+            purpose: snapshot.purpose,
             line,
             models: BTreeMap::new(),
         };
@@ -373,7 +375,7 @@ mod tests {
         // Every third is a keyframe.
         let is_key = (0..frames.len()).map(|k| k % 3 == 0).collect();
         let (poses, subjects, outlines) = Default::default();
-        Snapshot { table, frames, is_key, poses, subjects, outlines }
+        Snapshot { table, frames, is_key, poses, subjects, outlines, purpose: Purpose::Final }
     }
 
     #[test]

@@ -45,10 +45,12 @@ use window::{Snapshot, Window};
 
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 10.0;
-/// Age at which a frame becomes final, seconds: before it leaves the window, whose maps take up to two seconds.
-const FINAL_S: f64 = 8.0;
 /// Time between two maps at least, seconds.
 const MAP_S: f64 = 1.0;
+/// Time between two maps that make frames final, seconds. These maps have models of the vehicles, which take longer.
+const FINAL_EVERY_S: f64 = 3.0;
+/// Age at which a frame becomes final, seconds: at most ten after it, with those three.
+const FINAL_S: f64 = 6.5;
 /// Longest wait for a frame before signals are looked at.
 const PATIENCE: Duration = Duration::from_millis(50);
 
@@ -119,6 +121,7 @@ pub fn run(
         load: Load::default(),
         worker: Worker::start(Mapper::new(options, camera, known))?,
         map: None,
+        final_s: f64::NEG_INFINITY,
         end: EndLine::default(),
         spent: [Duration::ZERO; 3],
     };
@@ -168,6 +171,8 @@ struct Live<'a> {
     load: Load,
     worker: Worker,
     map: Option<WorldMap>,
+    /// Time of the last request of a map that makes frames final, seconds.
+    final_s: f64,
     end: EndLine,
     /// Time of perception, points and positions.
     spent: [Duration; 3],
@@ -215,8 +220,9 @@ impl Live<'_> {
         self.send(Line::Load(LoadLine { t: time_s, level, reductions, reason, dropped }))
     }
 
-    fn snapshot(&self) -> Snapshot {
-        self.window.snapshot(self.vehicles.subjects(), self.vehicles.outlines().clone())
+    fn snapshot(&self, purpose: Purpose) -> Snapshot {
+        let subjects = if purpose == Purpose::Revision { Vec::new() } else { self.vehicles.subjects() };
+        self.window.snapshot(purpose, subjects, self.vehicles.outlines().clone())
     }
 
     /// Hands the window to the worker if it is idle and a map is due.
@@ -225,16 +231,21 @@ impl Live<'_> {
             Some(map) => time_s - map.time_s >= MAP_S,
             None => self.window.num_keys() >= MIN_KEYS,
         };
-        if is_due && !self.worker.is_busy {
-            self.worker.request(self.snapshot());
+        if !is_due || self.worker.is_busy {
+            return;
         }
+        let is_final = self.map.is_some() && time_s - self.final_s >= FINAL_EVERY_S;
+        if is_final {
+            self.final_s = time_s;
+        }
+        self.worker.request(self.snapshot(if is_final { Purpose::Final } else { Purpose::Revision }));
     }
 
     /// Takes the map that was requested, if there is one.
     fn take_map(&mut self, wait: Wait) -> Result<(), LiveError> {
         let Some(map) = self.worker.poll(wait)? else { return Ok(()) };
         self.window.take_poses(&map);
-        let (frames, lines) = self.vehicles.take_map(&map, wait == Wait::ForLast, self.options);
+        let (frames, lines) = self.vehicles.take_map(&map, self.options);
         self.end.maps += 1;
         self.send(Line::Map(map.line.clone()))?;
         for frame in frames {
@@ -260,8 +271,8 @@ impl Live<'_> {
         if !is_stopped() {
             self.take_map(Wait::Yes)?;
             if self.window.num_keys() >= MIN_KEYS {
-                self.worker.request(self.snapshot());
-                self.take_map(Wait::ForLast)?;
+                self.worker.request(self.snapshot(Purpose::Last));
+                self.take_map(Wait::Yes)?;
             }
         }
         let count = self.end.frames.max(1) as f64;
@@ -276,8 +287,17 @@ impl Live<'_> {
 enum Wait {
     No,
     Yes,
-    /// For the last one: all its frames become final.
-    ForLast,
+}
+
+/// Purpose of a map.
+#[derive(Clone, Copy, PartialEq)]
+enum Purpose {
+    /// For the frames to come.
+    Revision,
+    /// Old frames become final, too.
+    Final,
+    /// All frames become final.
+    Last,
 }
 
 /// The thread that makes maps, one at a time.
@@ -316,7 +336,7 @@ impl Worker {
         }
         let found = match wait {
             Wait::No => self.maps.try_recv(),
-            Wait::Yes | Wait::ForLast => self.maps.recv().map_err(|_| TryRecvError::Disconnected),
+            Wait::Yes => self.maps.recv().map_err(|_| TryRecvError::Disconnected),
         };
         match found {
             Err(TryRecvError::Empty) => Ok(None),

@@ -12,7 +12,7 @@ use super::line::{LengthUnit, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
 use super::models::{Model, Subject};
 use super::perception::{Identity, Outlined};
-use super::{FINAL_S, WINDOW_S};
+use super::{FINAL_S, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::metric::in_metres;
@@ -172,26 +172,22 @@ impl Vehicles {
         lines
     }
 
-    /// Takes a new map: gives the frames that leave the window and their final positions, and revises the others.
-    ///
-    /// * `is_last` – true if all frames become final.
-    pub(super) fn take_map(
-        &mut self,
-        map: &WorldMap,
-        is_last: bool,
-        options: &Options,
-    ) -> (Vec<Frame>, Vec<VehicleLine>) {
+    /// Takes a new map: gives the frames that become final and their positions, and revises the others.
+    pub(super) fn take_map(&mut self, map: &WorldMap, options: &Options) -> (Vec<Frame>, Vec<VehicleLine>) {
         let frames: Vec<&Frame> = self.frames.values().filter(|frame| frame.time_s <= map.time_s).collect();
         let objects: Vec<ObjectId> = self.vehicles.keys().copied().collect();
         let found: BTreeMap<ObjectId, Contacts> =
             objects.into_iter().map(|id| (id, self.contacts(id, map, &map.model, &frames, options))).collect();
-        let is_final = |frame: &&Frame| is_last || frame.time_s <= map.time_s - FINAL_S;
+        let final_until_s = match map.purpose {
+            Purpose::Revision => f64::NEG_INFINITY,
+            Purpose::Final => map.time_s - FINAL_S,
+            Purpose::Last => map.time_s,
+        };
         let begin = self.last_final;
         let leaving: Vec<Frame> = self
             .frames
             .values()
-            .filter(|frame| begin.is_none_or(|last| frame.id > last) && frame.time_s <= map.time_s)
-            .filter(is_final)
+            .filter(|frame| begin.is_none_or(|last| frame.id > last) && frame.time_s <= final_until_s)
             .cloned()
             .collect();
         self.last_final = leaving.last().map(|frame| frame.id).or(begin);

@@ -7,7 +7,7 @@ use nalgebra::Point2;
 
 use super::map::WorldMap;
 use super::models::Subject;
-use super::{LiveError, WINDOW_S};
+use super::{LiveError, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
@@ -56,6 +56,7 @@ pub(super) struct Snapshot {
     /// Vehicles whose points are tracked.
     pub(super) subjects: Vec<Subject>,
     pub(super) outlines: Outlines,
+    pub(super) purpose: Purpose,
 }
 
 /// Tracks points through the latest frames.
@@ -99,9 +100,9 @@ impl Window {
     }
 
     /// The window, with vehicles in it.
-    pub(super) fn snapshot(&self, subjects: Vec<Subject>, outlines: Outlines) -> Snapshot {
+    pub(super) fn snapshot(&self, purpose: Purpose, subjects: Vec<Subject>, outlines: Outlines) -> Snapshot {
         let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
-        Snapshot { table, frames, is_key, poses: self.poses.clone(), subjects, outlines }
+        Snapshot { table, frames, is_key, poses: self.poses.clone(), subjects, outlines, purpose }
     }
 
     /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.
