@@ -49,8 +49,22 @@ def one(video: Path, out: Path, seconds: float, flags: list[str]) -> tuple[int, 
     data = recordings[0].read_bytes()
     assert bytes(sent[: len(data)]) == data, "the recording is not what was sent"
     if len(data) > 1 << 16:
-        decoded = subprocess.run(["ffprobe", "-v", "quiet", "-count_frames", "-show_entries", "stream=nb_read_frames",
-                                  "-of", "csv=p=0", str(recordings[0])], capture_output=True, text=True, check=True)
+        decoded = subprocess.run(
+            [
+                "ffprobe",
+                "-v",
+                "quiet",
+                "-count_frames",
+                "-show_entries",
+                "stream=nb_read_frames",
+                "-of",
+                "csv=p=0",
+                str(recordings[0]),
+            ],
+            capture_output=True,
+            text=True,
+            check=True,
+        )
         assert int(decoded.stdout.split()[0].rstrip(",")) > 0, "nothing can be decoded"
     lines = (out / "live.jsonl").read_text().splitlines() if (out / "live.jsonl").exists() else []
     for line in lines:
@@ -69,8 +83,16 @@ def main() -> None:
     pick = random.Random(0)
     found = [one(args.video, args.out, pick.uniform(0.05, 6.0), flags) for _ in range(args.times)]
     sizes, lines = zip(*found, strict=True)
-    print(json.dumps({"kills": len(found), "without_recording": sizes.count(0), "bytes": [min(sizes), max(sizes)],
-                      "lines": [min(lines), max(lines)]}))
+    print(
+        json.dumps(
+            {
+                "kills": len(found),
+                "without_recording": sizes.count(0),
+                "bytes": [min(sizes), max(sizes)],
+                "lines": [min(lines), max(lines)],
+            }
+        )
+    )
 
 
 if __name__ == "__main__":

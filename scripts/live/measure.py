@@ -25,6 +25,8 @@ import numpy as np
 Array = np.ndarray[Any, Any]
 PROGRAM = os.environ.get("TRACTRIX", str(Path(__file__).parents[2] / "target/release/tractrix"))
 
+NEAR_M = 5.0  # another vehicle is further away
+
 
 def paced(video: Path, seconds: float | None, speed: float = 1.0) -> subprocess.Popen[bytes]:
     """The packets of a clip as MPEG-TS, each at its time, or faster or slower."""
@@ -92,7 +94,9 @@ class Live:
     def timing(self) -> dict[str, Any]:
         """Delays, first positions, drops and memory."""
         begin = self.begin or 0.0
-        delays = [at - begin - line["t"] / self.speed for at, line in self.of("vehicle", "provisional") if line["position"]]
+        delays = [
+            at - begin - line["t"] / self.speed for at, line in self.of("vehicle", "provisional") if line["position"]
+        ]
         first_seen: dict[int, float] = {}
         first_placed: dict[int, float] = {}
         for at, line in self.of("vehicle", "provisional"):
@@ -114,7 +118,9 @@ class Live:
             "maps": len(maps),
             "restarts": sum(not line["is_continued"] for line in maps),
             "map_s": quantiles([line["seconds"] for line in maps]),
-            "last_map": {key: maps[-1][key] for key in ("keyframes", "points", "scale", "scale_std", "drift_std", "focal_px")}
+            "last_map": {
+                key: maps[-1][key] for key in ("keyframes", "points", "scale", "scale_std", "drift_std", "focal_px")
+            }
             if maps
             else None,
             "rss_mib": {"max": round(max((mib for _, mib in self.memory), default=0)), "second_half": spread(late)},
@@ -168,16 +174,20 @@ class Truth:
         path = np.diff([camera[:3, 3] for camera in self.cameras], axis=0)
         self.reach = max(1.0, float(np.linalg.norm(path, axis=1).sum()) / 4)
 
-    def register(self, poses: dict[int, tuple[Array, Array]], is_metric: bool) -> tuple[float, Array, Array]:
-        """The similarity from estimated poses (centre, axes of the camera as columns) to the true ones: by centres, and
-        by points above and ahead of them, since a straight path leaves the roll open."""
+    def register(self, poses: dict[int, tuple[Array, Array]]) -> tuple[float, Array, Array]:
+        """The similarity from estimated poses (center, axes of the camera as columns) to the true ones.
+
+        By centers, and by points below and ahead of them, since a straight path leaves the roll open.
+        """
         frames = sorted(poses)
         true = [self.cameras[k] for k in frames]
         centers = np.array([poses[k][0] for k in frames])
         true_centers = np.array([camera[:3, 3] for camera in true])
         length = np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()
-        ratio = 1.0 if is_metric else float(np.linalg.norm(np.diff(true_centers, axis=0), axis=1).sum() / length)
-        source = [centers] + [centers + self.reach / ratio * np.array([poses[k][1][:, a] for k in frames]) for a in (1, 2)]
+        ratio = float(np.linalg.norm(np.diff(true_centers, axis=0), axis=1).sum() / length)
+        source = [centers] + [
+            centers + self.reach / ratio * np.array([poses[k][1][:, a] for k in frames]) for a in (1, 2)
+        ]
         target = [true_centers] + [true_centers + self.reach * np.array([c[:3, a] for c in true]) for a in (1, 2)]
         scale, turn, shift = umeyama(np.vstack(source), np.vstack(target))
         return scale, turn, shift
@@ -186,7 +196,7 @@ class Truth:
         """Errors of positions in a frame of their own."""
         if len(poses) < 5 or not positions:
             return None
-        scale, turn, shift = self.register(poses, False)
+        scale, turn, shift = self.register(poses)
         places = []
         for k, position in positions.items():
             world = scale * turn @ position + shift
@@ -226,20 +236,20 @@ def mesh_points(path: Path) -> Array:
 
 
 def nearest_track(truth: Truth, tracks: dict[int, dict[int, Array]], poses: dict[int, tuple[Array, Array]]) -> Any:
-    """The errors of the track that is nearest to the true vehicle, of those of five frames and more."""
-    found = [(truth.errors(poses, track), number) for number, track in tracks.items()]
-    best = [(errors["error_m"], number, errors) for errors, number in found if errors and errors["frames"] >= 5]
-    return min(best, key=lambda entry: entry[0])[2] if best else None
+    """The errors of the longest track that is near the true vehicle."""
+    found = [truth.errors(poses, track) for track in tracks.values()]
+    near = [errors for errors in found if errors and errors["frames"] >= 5 and errors["error_m"] < NEAR_M]
+    return max(near, key=lambda errors: errors["frames"], default=None)
 
 
-def of_live(truth: Truth, live: Live, state: str) -> Any:
-    """Errors of the positions of a state."""
+def of_live(truth: Truth, live: Live, state: str, method: str) -> Any:
+    """Errors of the positions of a state and method."""
     poses: dict[int, tuple[Array, Array]] = {}
     for _, line in live.of("camera", state):
         poses[line["frame"]] = np.array(line["position"]), rotation(line["rotation_wxyz"]).T
     tracks: dict[int, dict[int, Array]] = {}
     for _, line in live.of("vehicle", state):
-        if line["position"] and line["frame"] in poses:
+        if line["method"] == method and line["frame"] in poses:
             tracks.setdefault(line["id"], {})[line["frame"]] = np.array(line["position"])
     return nearest_track(truth, tracks, poses)
 
@@ -256,7 +266,8 @@ def of_batch(truth: Truth, out: Path) -> Any:
     result = {}
     for key in ("objects", "ground_tracks"):
         tracks = {
-            entry["id"]: {pose["frame"]: np.array(pose["position"]) for pose in entry["frames"]} for entry in found.get(key, [])
+            entry["id"]: {pose["frame"]: np.array(pose["position"]) for pose in entry["frames"]}
+            for entry in found.get(key, [])
         }
         result[key] = nearest_track(truth, tracks, poses)
     return result
@@ -277,7 +288,8 @@ def main() -> None:
     result = live.timing()
     if args.truth:
         truth = Truth(args.truth)
-        result["provisional"], result["final"] = of_live(truth, live, "provisional"), of_live(truth, live, "final")
+        for state, method in (("provisional", "ground-contact"), ("final", "ground-contact"), ("final", "model")):
+            result[f"{state}, {method}"] = of_live(truth, live, state, method)
         if args.batch:
             result["batch"] = of_batch(truth, args.batch)
     print(json.dumps(result, indent=1))

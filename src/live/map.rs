@@ -42,6 +42,9 @@ const LEAST_FOCAL_STD: f64 = 0.01;
 const INDEPENDENT: f64 = 20.0;
 /// Standard deviation of the slope of roads, radians; as in the stage `metric`.
 const SLOPE_STD: f64 = 0.035;
+/// Time from the first map on over which the camera's height is measured, seconds. Then the meters are held: a local
+/// frame whose unit changes as the camera climbs would be of no use.
+const HEIGHT_S: f64 = 3.0;
 /// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
 const NOMINAL_HEIGHT_M: f64 = 10.0;
 
@@ -128,8 +131,10 @@ pub(super) struct Mapper {
     last: Option<Reconstruction>,
     /// The vertical and origin of the local frame: those of the first map.
     level: Option<Level>,
-    /// Heights of the camera above the ground in all maps of this frame, units: sum and number.
-    heights: (f64, f64),
+    /// Height of the camera above the ground in the first maps of this frame, units: the mean, and of how many.
+    height: Option<(Measured, f64)>,
+    /// Time of the first map of this frame, seconds.
+    begin_s: f64,
     /// Meters per unit where nothing gives them, held from the first map on.
     nominal: Option<f64>,
     /// Variance of the logarithm of lengths by the alignments so far.
@@ -145,7 +150,8 @@ impl Mapper {
             revision: 0,
             last: None,
             level: None,
-            heights: (0.0, 0.0),
+            height: None,
+            begin_s: f64::NEG_INFINITY,
             nominal: None,
             drift: 0.0,
         }
@@ -187,12 +193,15 @@ impl Mapper {
         self.last = Some(model.clone());
         let (keyframes, points) = (model.images.len(), model.points.len());
         register_others(&mut model, snapshot, &camera);
-        let dominant = dominant_plane_points(&self.last.as_ref().unwrap_or(&model), &self.options.ground, seed);
+        let dominant = dominant_plane_points(self.last.as_ref().unwrap_or(&model), &self.options.ground, seed);
         let mount = find_mount(&model, None, &self.options.ground, seed).ok();
         let problem = dominant.as_ref().err().map(ToString::to_string);
         let ground = Ground { dominant: dominant.ok(), mount };
-        let (frame, is_metric) = self.metric(&model, &ground, focal_std.unwrap_or(0.0));
         let time_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s);
+        if !is_continued {
+            self.begin_s = time_s;
+        }
+        let (frame, is_metric) = self.metric(&model, &ground, focal_std.unwrap_or(0.0), time_s);
         let line = MapLine {
             t: time_s,
             revision: self.revision,
@@ -243,40 +252,40 @@ impl Mapper {
                 true
             }
             None => {
-                (self.level, self.heights, self.nominal, self.drift) = (None, (0.0, 0.0), None, 0.0);
+                (self.level, self.height, self.nominal, self.drift) = (None, None, None, 0.0);
                 false
             }
         }
     }
 
     /// The metric frame, and whether its meters are known.
-    fn metric(&mut self, model: &Reconstruction, ground: &Ground, focal_std: f64) -> (MetricFrame, bool) {
+    fn metric(&mut self, model: &Reconstruction, ground: &Ground, focal_std: f64, time_s: f64) -> (MetricFrame, bool) {
         let none = Vec::new();
         let points = ground.dominant.as_ref().map_or(&none, |dominant| &dominant.point_ids);
         let below = camera_height(model, points, &self.options.ground, self.options.seed).ok();
-        // The camera's height is its mean over all frames, as for a run.
         let mount = ground.mount.as_ref().and_then(|mount| Measured::new(mount.height, mount.height_std));
-        let height = mount.or_else(|| below.as_ref().and_then(|below| Measured::new(below.mean, below.std)));
-        if let Some(height) = height {
-            self.heights = (self.heights.0 + height.value, self.heights.1 + 1.0);
+        let found = mount.or_else(|| below.as_ref().and_then(|below| Measured::new(below.mean, below.std)));
+        if let Some(found) = found.filter(|_| self.height.is_none() || time_s - self.begin_s <= HEIGHT_S) {
+            let (mean, count) = self.height.map_or((0.0, 0.0), |(mean, count)| (mean.value, count));
+            let value = (mean * count + found.value) / (count + 1.0);
+            // Maps share their frames: their errors do not average out.
+            let mean = Measured { value, std: found.std / found.value * value };
+            self.height = Some((mean, count + 1.0));
         }
-        let mean = height.and_then(|height| {
-            let value = self.heights.0 / self.heights.1;
-            Measured::new(value, (height.std / height.value * value).hypot(focal_std * value))
-        });
+        let height = self.height.map(|(mean, _)| Measured { std: mean.std.hypot(focal_std * mean.value), ..mean });
         let surveyed = |name: &str, (log_scale, std): (f64, f64)| {
             let std = std.hypot(self.drift.sqrt());
             Source { name: name.to_owned(), kind: Kind::Surveyed, log_scale, std }
         };
         let metric = &self.options.metric;
         let of_scale = metric.scale.map(|scale| surveyed("given scale", scale.log()));
-        let of_height = metric.camera_height.zip(mean);
+        let of_height = metric.camera_height.zip(height);
         let of_height = of_height.map(|(given, units)| surveyed("camera height", given.log_ratio(&units)));
         let sources: Vec<Source> = of_scale.into_iter().chain(of_height).collect();
         let level = *self.level.get_or_insert_with(|| level(model, below.as_ref()));
         let known = fuse(&sources);
         let is_metric = known.is_some();
-        let nominal = *self.nominal.get_or_insert(mean.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
+        let nominal = *self.nominal.get_or_insert(height.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
         let verdict = MetricVerdict::Unknown;
         let unit = || Fused { scale: nominal, std: 0.0, verdict, shares: Vec::new(), contradictions: Vec::new() };
         let fused = known.unwrap_or_else(unit);

@@ -85,7 +85,7 @@ impl Vehicles {
         self.forget(frame.time_s - WINDOW_S - SPARE_S);
     }
 
-    /// Tracks points of the confirmed vehicles inside their masks.
+    /// Tracks points of the vehicles inside their masks.
     pub(super) fn track_points(
         &mut self,
         frame: &Frame,
@@ -94,9 +94,7 @@ impl Vehicles {
         camera: Camera,
     ) -> Result<(), LiveError> {
         for TrackedMask { object, mask, .. } in masks {
-            let Some(vehicle) = self.vehicles.get_mut(object).filter(|vehicle| vehicle.identity.is_some()) else {
-                continue;
-            };
+            let Some(vehicle) = self.vehicles.get_mut(object) else { continue };
             let new = || VideoFrontEnd::new(VideoOptions::object(), camera);
             let points = vehicle.points.get_or_insert_with(new);
             points.push(frame, picture, mask)?;
