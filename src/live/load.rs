@@ -117,7 +117,7 @@ mod tests {
     #[test]
     fn work_without_room_is_not_taken_back() {
         let mut load = Load::default();
-        assert_eq!(run(&mut load, 0.0, 2.0, 0.2, true), [1]);
-        assert!(run(&mut load, 2.0, 30.0, 0.08, false).is_empty());
+        assert_eq!(run(&mut load, 0.0, 1.3, 0.2, true), [1]);
+        assert!(run(&mut load, 1.3, 30.0, 0.08, false).is_empty());
     }
 }

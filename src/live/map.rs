@@ -381,8 +381,8 @@ mod tests {
             time_s: 0.1 * f64::from(id.0),
         };
         let frames: Vec<Frame> = images.iter().map(frame).collect();
-        // Every third is a keyframe.
-        let is_key = (0..frames.len()).map(|k| k % 3 == 0).collect();
+        // Every third is a keyframe, in all windows.
+        let is_key = frames.iter().map(|frame| frame.id.0 % 3 == 0).collect();
         let (poses, subjects, outlines) = Default::default();
         Snapshot { table, frames, is_key, poses, subjects, outlines, purpose: Purpose::Final }
     }
