@@ -58,6 +58,8 @@ pub mod ground;
 #[cfg(feature = "opencv")]
 pub mod image;
 pub mod io;
+#[cfg(feature = "pipeline")]
+pub mod live;
 #[cfg(feature = "sfm")]
 pub mod mapper;
 pub mod math;

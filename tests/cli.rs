@@ -654,3 +654,31 @@ fn a_video_from_a_pipe_is_recorded_and_run_like_a_file() {
     let (code, _, said) = outcome(segment("-").arg("--overwrite").write_stdin(""));
     assert!(code == 1 && said.contains("standard input is empty"), "{said}");
 }
+
+#[test]
+fn a_live_video_is_recorded_and_its_lines_are_whole() {
+    let place = TempDir::new().unwrap();
+    let file = clip(place.path(), 30);
+    let video = fs::read(&file).unwrap();
+    let live = |input: &str, out: &Path| {
+        let mut command = tractrix();
+        command.args(["live", input, "--detector", "none", "--mask-network", "none", "--no-final-run", "--output"]);
+        command.arg(out);
+        command
+    };
+    for input in ["-", file.to_str().unwrap()] {
+        let out = place.path().join(input.len().to_string());
+        let (code, printed, said) = outcome(live(input, &out).write_stdin(video.clone()));
+        assert_eq!(code, 0, "{said}");
+        assert_eq!(fs::read(out.join("recording.avi")).unwrap(), video);
+        let lines = fs::read_to_string(out.join("live.jsonl")).unwrap();
+        assert_eq!(lines, printed);
+        let last: serde_json::Value = serde_json::from_str(lines.lines().last().unwrap()).unwrap();
+        let count = |key: &str| last[key].as_u64().unwrap();
+        assert!(last["kind"] == "end" && count("frames") + count("dropped") + count("skipped") == 30, "{last}");
+        let (code, _, said) = outcome(live(input, &out).write_stdin(video.clone()));
+        assert!(code == 2 && said.contains("recording.avi") && said.contains("--overwrite"), "{said}");
+    }
+    let (code, _, said) = outcome(&mut live("nowhere.ts", &place.path().join("none")));
+    assert!(code == 1 && said.contains("nowhere.ts"), "{said}");
+}

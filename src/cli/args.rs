@@ -37,6 +37,11 @@ pub(super) enum Command {
     ///
     /// Can be stopped at any time; the same command resumes without repeating finished work.
     Run(Box<JobArgs>),
+    /// Record a video and locate its vehicles while it is recorded
+    ///
+    /// The input is `-`, a named pipe or a file that may still grow. Prints one JSON object per vehicle and frame, also
+    /// in live.jsonl of the output folder. When the source ends, the ordinary run on the recording follows.
+    Live(Box<super::live::LiveArgs>),
     /// Detect the vehicles in every frame
     #[command(mut_args(|flag| job::shown_up_to(Stage::Segment, flag)))]
     Segment(Box<JobArgs>),

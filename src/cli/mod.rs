@@ -20,6 +20,7 @@ mod export;
 mod forecast;
 mod frame;
 mod job;
+mod live;
 mod manual;
 mod models;
 mod options;
@@ -119,6 +120,7 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Res
         | Command::Ground(job)
         | Command::Scale(job)
         | Command::Metric(job) => run::run(job, args.command.goal(), arguments, form, talk),
+        Command::Live(own) => live::run(own, arguments, form, talk),
         Command::Batch(own) => batch::run(own, arguments, form, talk),
         Command::Evaluate(own) => evaluate::run(own, form),
         Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),

@@ -29,7 +29,21 @@ pub(super) fn record(output: &Path, overwrite: bool) -> Result<PathBuf, Failure>
         return Err(Failure::Usage("-: standard input is a terminal; pipe a video into it".to_owned()));
     }
     // The folder becomes a run's own, and is free again for the run.
-    drop(OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place).map_err(anyhow::Error::from)?);
+    drop(own(output)?);
+    let earlier = replaceable(output, overwrite)?;
+    Ok(write(input, output, &earlier)?)
+}
+
+/// Makes an output folder a run's own.
+pub(super) fn own(output: &Path) -> anyhow::Result<OwnedFolder> {
+    Ok(OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place)?)
+}
+
+/// Earlier recordings, which a new one replaces.
+///
+/// # Errors
+/// There are some, and `overwrite` is false.
+pub(super) fn replaceable(output: &Path, overwrite: bool) -> Result<Vec<PathBuf>, Failure> {
     let earlier = recordings(output).with_context(|| format!("{}: cannot be read", output.display()))?;
     if let Some(found) = earlier.first().filter(|_| !overwrite) {
         let (path, output) = (found.display(), output.display());
@@ -37,7 +51,7 @@ pub(super) fn record(output: &Path, overwrite: bool) -> Result<PathBuf, Failure>
             "{path}: recording exists; run it with `tractrix run {path} --output {output}`, or give --overwrite"
         )));
     }
-    Ok(write(input, output, &earlier)?)
+    Ok(earlier)
 }
 
 /// Recordings in a folder.
@@ -52,24 +66,36 @@ fn recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
 
 /// Writes the recording; earlier ones go when there is something to write.
 fn write(mut input: impl Read, folder: &Path, earlier: &[PathBuf]) -> anyhow::Result<PathBuf> {
+    let (path, mut file) = begin(&mut input, Path::new(STDIN), folder, earlier)?;
+    let copied = io::copy(&mut input, &mut file).and_then(|_| file.sync_all());
+    copied.with_context(|| format!("{}: recording failed; what was received before is there", path.display()))?;
+    Ok(path)
+}
+
+/// Begins a recording with the first bytes of `source`, by which it is named; earlier ones go.
+///
+/// # Errors
+/// No data, or a file that cannot be written.
+pub(super) fn begin(
+    mut input: impl Read,
+    source: &Path,
+    folder: &Path,
+    earlier: &[PathBuf],
+) -> anyhow::Result<(PathBuf, File)> {
+    let shown = if source == Path::new(STDIN) { "-: standard input".to_owned() } else { source.display().to_string() };
     let mut head = Vec::new();
-    let read = |error| anyhow!("-: standard input cannot be read: {error}");
+    let read = |error| anyhow!("{shown} cannot be read: {error}");
     input.by_ref().take(HEAD_BYTES as u64).read_to_end(&mut head).map_err(read)?;
     if head.is_empty() {
-        return Err(anyhow!("-: standard input is empty; check the program that writes to it"));
+        return Err(anyhow!("{shown} is empty; check the program that writes to it"));
     }
     for path in earlier {
         fs::remove_file(path).with_context(|| format!("{}: cannot be removed", path.display()))?;
     }
     let path = folder.join(STEM).with_extension(extension(&head));
-    let mut fill = || {
-        let mut file = File::create_new(&path)?;
-        file.write_all(&head)?;
-        io::copy(&mut input, &mut file)?;
-        file.sync_all()
-    };
-    fill().with_context(|| format!("{}: recording failed; what was received before is there", path.display()))?;
-    Ok(path)
+    let begun = File::create_new(&path).and_then(|mut file| file.write_all(&head).map(|()| file));
+    let file = begun.with_context(|| format!("{}: recording failed", path.display()))?;
+    Ok((path, file))
 }
 
 /// Extension of a container or elementary stream, by its first bytes.

@@ -11,7 +11,7 @@ use super::run_output::RunOutput;
 use super::summary;
 use super::terminal::TerminalProgress;
 use crate::io::RunFolder;
-use crate::pipeline::{self, Job, Overwrite, Stage, Summary};
+use crate::pipeline::{self, Job, Options, Overwrite, Stage, Summary};
 use crate::scene::Trajectories;
 
 pub(super) fn run(
@@ -26,11 +26,24 @@ pub(super) fn run(
     if input == Path::new(recording::STDIN) {
         input = recording::record(&job.output, job.overwrite)?;
     }
+    run_on(&input, job, &options, goal, arguments, form, talk)
+}
+
+/// As [`run`], on a given input with given options.
+pub(super) fn run_on(
+    input: &Path,
+    job: &JobArgs,
+    options: &Options,
+    goal: Stage,
+    arguments: &[OsString],
+    form: Form,
+    talk: &TerminalProgress,
+) -> Result<(), Failure> {
     let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
     let task = Job {
-        input: &input,
+        input,
         output: &job.output,
-        options: &options,
+        options,
         goal,
         also_read: job.common.options.iter().map(|path| ("--options", path.as_path())).collect(),
         overwrite: if job.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },

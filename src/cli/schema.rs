@@ -10,6 +10,7 @@ use crate::eval::benchmark::Benchmark;
 use crate::export::crossings::Analysis;
 use crate::export::summary::Summary;
 use crate::io::{ground, json as json_file, tracks, trajectories};
+use crate::live::Line;
 use crate::pipeline;
 
 /// Print the JSON Schema of a result file, or of what a command prints with --json
@@ -28,7 +29,7 @@ struct Document {
     schema: fn() -> Schema,
 }
 
-const DOCUMENTS: [Document; 9] = [
+const DOCUMENTS: [Document; 10] = [
     Document { name: "trajectories", of: "trajectories.json, version 3", schema: trajectories::schema },
     Document { name: "tracks", of: "tracks.json", schema: tracks::schema },
     Document { name: "ground", of: "ground.json", schema: ground::schema },
@@ -36,6 +37,7 @@ const DOCUMENTS: [Document; 9] = [
     Document { name: "evaluation", of: "evaluation.json", schema: json_file::schema_of::<Evaluation> },
     Document { name: "benchmark", of: "benchmark.json without `summary`", schema: json_file::schema_of::<Benchmark> },
     Document { name: "run-output", of: "output of `run --json`", schema: json_file::schema_of::<RunOutput> },
+    Document { name: "live", of: "a line of live.jsonl", schema: json_file::schema_of::<Line> },
     Document { name: "analyse", of: "output of `analyse --json`", schema: json_file::schema_of::<Analysis> },
     Document { name: "summary", of: "output of `summary --json`", schema: json_file::schema_of::<Summary> },
 ];

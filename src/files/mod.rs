@@ -4,12 +4,16 @@
 //! device that never ends. Only regular files are opened, by whatever links they are reached, and only those that fit
 //! into memory are read whole.
 
+mod growth;
+
 use std::fs::{self, File, FileType, OpenOptions};
 use std::io::{self, Read};
 use std::os::unix::fs::{FileTypeExt, OpenOptionsExt};
 use std::path::Path;
 
 use rustix::fs::OFlags;
+
+pub use growth::Growth;
 
 use super::memory;
 
@@ -25,6 +29,17 @@ pub const BYTE_ORDER_CHAR: char = '\u{feff}';
 pub fn open(path: &Path) -> io::Result<File> {
     check(path)?;
     open_at_once(OpenOptions::new().read(true), path, OFlags::empty())
+}
+
+/// Opens a regular file or a named pipe, for input that is read once; of a pipe it waits for the writer.
+///
+/// # Errors
+/// As [`open`].
+pub fn open_stream(path: &Path) -> io::Result<File> {
+    match fs::metadata(path)?.file_type().is_fifo() {
+        true => File::open(path),
+        false => open(path),
+    }
 }
 
 /// Opens a file of the program's own for writing, or makes it; leaves its content. It must be no link.

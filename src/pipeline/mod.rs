@@ -40,6 +40,7 @@ pub use options::{
 };
 pub use stages::background::{CameraReport, ModelReport, background_frame};
 pub use stages::features::found_features::found_features;
+pub use stages::objects::object_pose_priors;
 pub use stages::report::link_exports;
 
 use crate::io::InputIdentity;

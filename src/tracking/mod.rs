@@ -158,6 +158,19 @@ pub struct TrackedMask {
     pub evidence: Evidence,
 }
 
+/// An object that has a lasting id, while it is followed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ConfirmedObject<'a> {
+    /// Lasting id.
+    pub id: ObjectId,
+    /// The id under which [`Tracker::advance`] reports its masks.
+    pub provisional: ObjectId,
+    /// The class that its detections name most so far.
+    pub class: &'a str,
+    /// Mean confidence of its detections, 0 to 1.
+    pub confidence: f64,
+}
+
 /// Summary of an object over all frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrackSummary {

@@ -11,7 +11,7 @@ use super::region::Region;
 use super::retrace::Way;
 use super::support::MIN_FRAMES;
 use super::track_statistics::Ledger;
-use super::{BoxSource, Predecessor, TrackSummary, TrackerOptions};
+use super::{BoxSource, ConfirmedObject, Predecessor, TrackSummary, TrackerOptions};
 use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outline};
 
 /// Share of the way that velocity and looks move towards each new measurement.
@@ -459,6 +459,12 @@ impl Track {
     pub(super) fn class(&self) -> &str {
         let best = self.class_votes.iter().max_by(|a, b| a.1.total_cmp(b.1).then_with(|| b.0.cmp(a.0)));
         best.map_or("", |(class, _)| class)
+    }
+
+    /// The object of a confirmed track; `None` for any other.
+    pub(super) fn confirmed(&self) -> Option<ConfirmedObject<'_>> {
+        let confidence = self.sum_confidence / self.num_detected as f64;
+        Some(ConfirmedObject { id: self.id?, provisional: self.provisional, class: self.class(), confidence })
     }
 
     /// The result for a confirmed track; `None` for any other.

@@ -10,7 +10,7 @@ use super::propagation::{PreviousObject, background_displacement, carry_whole};
 use super::region::Region;
 use super::retrace::{Correction, Reported};
 use super::track::{Moment, Prediction, Presence, Recognised, Track, leaves};
-use super::{Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
+use super::{ConfirmedObject, Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::PerceptionError;
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
@@ -110,6 +110,16 @@ impl Tracker {
     pub fn places(&self) -> Vec<Rect> {
         let followed = self.tracks.iter().map(|track| track.whole.rect());
         followed.chain(self.waiting.iter().map(|sight| sight.rect)).collect()
+    }
+
+    /// Objects that have a lasting id and are not over.
+    pub fn confirmed(&self) -> impl Iterator<Item = ConfirmedObject<'_>> {
+        self.tracks.iter().filter_map(Track::confirmed)
+    }
+
+    /// Summaries of the objects that are over, since the last call; [`Tracker::finish`] does not give them again.
+    pub fn take_finished(&mut self) -> Vec<TrackSummary> {
+        std::mem::take(&mut self.finished)
     }
 
     /// Masks of earlier frames that are better known since the last call; they take the place of those reported then.

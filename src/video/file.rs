@@ -1,6 +1,7 @@
 //! A video file, decoded by FFmpeg.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use ::image::{RgbImage, imageops};
 
@@ -10,6 +11,7 @@ use super::error::regular;
 use super::tracks::{self, Chosen};
 use super::{VideoError, diagnosis, fields, repeats, shape};
 use crate::ffi::ffmpeg::{self, FfmpegError, Luma, MediaFile, Packet, Purpose, RgbConverter};
+use crate::files::Growth;
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId, Warning};
 
@@ -55,14 +57,24 @@ impl Video {
     /// Opens a video track.
     ///
     /// * `track` – as [`super::Options::track`].
+    /// * `growth` – of a file that is still written.
     ///
     /// # Errors
     /// What [`diagnosis`] finds, where FFmpeg does not take the file or there is no such track;
     /// [`VideoError::NoDecoder`]; [`VideoError::Ffmpeg`].
-    pub(super) fn open(path: &Path, purpose: Purpose, track: Option<u32>) -> Result<Self, VideoError> {
+    pub(super) fn open(
+        path: &Path,
+        purpose: Purpose,
+        track: Option<u32>,
+        growth: Option<&Arc<Growth>>,
+    ) -> Result<Self, VideoError> {
         let refused = |error| diagnosis::refused(path, error);
         regular(path)?;
-        let mut file = MediaFile::open(path).map_err(refused)?;
+        let mut file = match growth {
+            Some(growth) => MediaFile::open_growing(path, growth.clone()),
+            None => MediaFile::open(path),
+        }
+        .map_err(refused)?;
         let chosen = tracks::choose(&file, path, track)?;
         file.keep_only(chosen.stream.index);
         let decoder = ffmpeg::Decoder::new(&file, chosen.stream.index, purpose).map_err(refused)?;
@@ -160,8 +172,9 @@ impl FileDecoder {
         track: Option<u32>,
         size: (u32, u32),
         target: (u32, u32),
+        growth: Option<&Arc<Growth>>,
     ) -> Result<Self, VideoError> {
-        let video = Video::open(path, purpose, track)?;
+        let video = Video::open(path, purpose, track, growth)?;
         let clock = Clock::new(video.container().fps);
         Ok(Self { path: path.to_owned(), video, clock, next: 0, size, target, luma: None })
     }

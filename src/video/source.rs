@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -17,7 +18,7 @@ use super::options::Selection;
 use super::survey::Survey;
 use super::{Frames, Options, VideoError, shape};
 use crate::ffi::ffmpeg::Purpose;
-use crate::files;
+use crate::files::{self, Growth};
 use crate::image::scale_to_fit;
 use crate::scene::{Frame, FrameId, TimeBase, Topic, Warning};
 
@@ -89,6 +90,8 @@ pub struct Source {
     info: Info,
     cameras: Vec<PictureCamera>,
     listing: Option<Listing>,
+    /// Of a video that is still written.
+    growth: Option<Arc<Growth>>,
     /// Remarks on how a video is read, for the user.
     remarks: Vec<Warning>,
 }
@@ -103,7 +106,16 @@ impl Source {
     /// Every [`VideoError`] that can be determined before the frames are walked through: missing, unreadable, empty,
     /// not a video, no picture, contradicting options.
     pub fn open(path: &Path, options: &Options) -> Result<Self, VideoError> {
-        Self::open_as(path, options, Cameras::One)
+        Self::open_as(path, options, Cameras::One, None)
+    }
+
+    /// As [`Source::open`], of a video that is still written: waits for its first picture, and [`Source::frames`] for
+    /// all others.
+    ///
+    /// # Errors
+    /// As [`Source::open`].
+    pub fn open_growing(path: &Path, options: &Options, growth: Arc<Growth>) -> Result<Self, VideoError> {
+        Self::open_as(path, options, Cameras::One, Some(growth))
     }
 
     /// As [`Source::open`], with all pictures of a folder, whatever their sizes: [`Source::cameras`] says which of them
@@ -112,10 +124,15 @@ impl Source {
     /// # Errors
     /// As [`Source::open`].
     pub fn open_photographs(path: &Path, options: &Options) -> Result<Self, VideoError> {
-        Self::open_as(path, options, Cameras::Several)
+        Self::open_as(path, options, Cameras::Several, None)
     }
 
-    fn open_as(path: &Path, options: &Options, cameras: Cameras) -> Result<Self, VideoError> {
+    fn open_as(
+        path: &Path,
+        options: &Options,
+        cameras: Cameras,
+        growth: Option<Arc<Growth>>,
+    ) -> Result<Self, VideoError> {
         options.check()?;
         let unreadable = |source: io::Error| match source.kind() {
             io::ErrorKind::NotFound => VideoError::Missing { path: path.to_owned() },
@@ -130,14 +147,14 @@ impl Source {
             if metadata.len() == 0 {
                 return Err(VideoError::Empty { path: path.to_owned() });
             }
-            let (info, remarks) = file_info(path, options)?;
+            let (info, remarks) = file_info(path, options, growth.as_ref())?;
             (info, None, remarks)
         };
         let cameras = match &listing {
             Some(listing) => listing.cameras.iter().map(|taken| picture_camera(taken, options)).collect(),
             None => vec![only_camera(&info)],
         };
-        Ok(Self { path: path.to_owned(), options: options.clone(), info, cameras, listing, remarks })
+        Ok(Self { path: path.to_owned(), options: options.clone(), info, cameras, listing, growth, remarks })
     }
 
     /// The cameras that took the pictures, in order of their first one; never empty.
@@ -228,7 +245,8 @@ impl Source {
             }
             None => {
                 let size = (info.source_width, info.source_height);
-                Box::new(FileDecoder::open(&self.path, purpose, self.options.track, size, target)?)
+                let growth = self.growth.as_ref();
+                Box::new(FileDecoder::open(&self.path, purpose, self.options.track, size, target, growth)?)
             }
         })
     }
@@ -305,9 +323,9 @@ fn only_camera(info: &Info) -> PictureCamera {
 }
 
 /// Probes a video: its properties, and remarks on how it is read.
-fn file_info(path: &Path, options: &Options) -> Result<(Info, Vec<Warning>), VideoError> {
+fn file_info(path: &Path, options: &Options, growth: Option<&Arc<Growth>>) -> Result<(Info, Vec<Warning>), VideoError> {
     let no_frames = || VideoError::NoFrames { path: path.to_owned() };
-    let video = Video::open(path, Purpose::Pictures, options.track)?;
+    let video = Video::open(path, Purpose::Pictures, options.track, growth)?;
     let container = video.container();
     let Sizes { stored, shown } = video.first_sizes()?.ok_or_else(no_frames)?;
     let (width, height) = target_size(shown, options);
@@ -373,6 +391,31 @@ mod tests {
         }
         let some = source.frames_at(BTreeSet::from([FrameId(5), FrameId(6)])).unwrap();
         assert_eq!(some.map(|f| f.unwrap().0.id.0).collect::<Vec<_>>(), [5]);
+    }
+
+    #[test]
+    fn a_video_that_is_still_written_gives_all_its_frames() {
+        let folder = tempfile::tempdir().unwrap();
+        let bytes = fs::read(clip(folder.path(), 20)).unwrap();
+        let path = folder.path().join("growing.avi");
+        let (begin, rest) = bytes.split_at(bytes.len() / 3);
+        fs::write(&path, begin).unwrap();
+        let growth = Arc::new(Growth::default());
+        let source = Source::open_growing(&path, &Options::default(), growth.clone()).unwrap();
+        let mut frames = source.frames().unwrap();
+        let mut ids: Vec<u32> = frames.by_ref().take(4).map(|item| item.unwrap().0.id.0).collect();
+        let (target, rest) = (path.clone(), rest.to_owned());
+        let writer = std::thread::spawn(move || {
+            let mut file = fs::OpenOptions::new().append(true).open(target).unwrap();
+            for piece in rest.chunks(500) {
+                std::io::Write::write_all(&mut file, piece).unwrap();
+                growth.grow();
+            }
+            growth.finish();
+        });
+        ids.extend(frames.map(|item| item.unwrap().0.id.0));
+        writer.join().unwrap();
+        assert_eq!(ids, (0..20).collect::<Vec<_>>());
     }
 
     #[test]

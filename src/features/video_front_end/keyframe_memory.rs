@@ -91,6 +91,12 @@ impl Memory {
         }
     }
 
+    /// Forgets all views, whose numbers change.
+    pub fn forget(&mut self) {
+        self.keys.clear();
+        (self.last, self.tied_at, self.apart_since, self.described) = (None, None, None, None);
+    }
+
     /// Finds points of earlier views that are not alive, where the link to those views is weak.
     ///
     /// # Errors

@@ -195,6 +195,36 @@ impl VideoFrontEnd {
         }
     }
 
+    /// Views so far, and all tracks, however short.
+    pub fn table(&self) -> &TrackTable {
+        &self.table
+    }
+
+    /// Drops all views but some, and the tracks without any other: of an endless video not everything can be kept.
+    /// Points that are lost now are not detected again.
+    pub fn retain_views(&mut self, is_kept: impl Fn(usize, &View) -> bool) {
+        let kept: Vec<bool> = self.table.views.iter().enumerate().map(|(k, view)| is_kept(k, view)).collect();
+        let place: Vec<u32> =
+            kept.iter().scan(0, |next, kept| Some(std::mem::replace(next, *next + u32::from(*kept)))).collect();
+        let mut is_live = vec![false; self.table.tracks.len()];
+        self.live.iter().for_each(|point| is_live[point.track] = true);
+        let mut number = vec![0; is_live.len()];
+        let mut tracks = Vec::new();
+        for (k, mut track) in std::mem::take(&mut self.table.tracks).into_iter().enumerate() {
+            track.retain(|feature| kept[feature.view as usize]);
+            track.iter_mut().for_each(|feature| feature.view = place[feature.view as usize]);
+            if is_live[k] || !track.is_empty() {
+                number[k] = tracks.len();
+                tracks.push(track);
+            }
+        }
+        self.table.tracks = tracks;
+        self.live.iter_mut().for_each(|point| point.track = number[point.track]);
+        let mut is_kept = kept.into_iter();
+        self.table.views.retain(|_| is_kept.next().unwrap_or(false));
+        self.memory.forget();
+    }
+
     /// The tracks.
     pub fn finish(mut self) -> TrackTable {
         let min_length = self.options.min_track_length.min(self.table.views.len()).max(2);

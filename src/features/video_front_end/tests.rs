@@ -27,6 +27,16 @@ fn followed(corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
 }
 
 fn followed_with(options: VideoOptions, corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
+    followed_while(options, corners, hidden, |_| {})
+}
+
+/// As [`followed_with`]; `then` follows every frame.
+fn followed_while(
+    options: VideoOptions,
+    corners: &[[u32; 2]],
+    hidden: Option<u32>,
+    mut then: impl FnMut(&mut VideoFrontEnd),
+) -> TrackTable {
     const SIZE: [u32; 2] = [320, 240];
     let texture = texture();
     let mut front_end = VideoFrontEnd::new(options, Camera::prior(SIZE[0], SIZE[1]));
@@ -36,8 +46,28 @@ fn followed_with(options: VideoOptions, corners: &[[u32; 2]], hidden: Option<u32
         let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
         let mask = Mask::from_fn(SIZE[0], SIZE[1], |_, _| hidden != Some(k));
         front_end.push(&frame, &image, &mask).unwrap();
+        then(&mut front_end);
     }
     front_end.finish()
+}
+
+#[test]
+fn dropped_views_leave_the_other_tracks_as_they_are() {
+    let corners: Vec<[u32; 2]> = (0..12).map(|k| [2 * k, k]).collect();
+    let whole = followed(&corners, None);
+    let kept = followed_while(VideoOptions::object(), &corners, None, |front_end| {
+        let now = front_end.table().views.len();
+        front_end.retain_views(|view, _| view + 4 >= now || view == 0);
+    });
+    assert_eq!(kept.views.len(), 5);
+    let names = |table: &TrackTable| -> Vec<String> { table.views.iter().map(|view| view.name.clone()).collect() };
+    assert_eq!(names(&kept), ["0.png", "8.png", "9.png", "10.png", "11.png"]);
+    let ends = |table: &TrackTable| -> Vec<Point2<f64>> {
+        let last = table.views.len() as u32 - 1;
+        let spans = table.tracks.iter().filter(|track| track[0].view == 0 && track[track.len() - 1].view == last);
+        spans.flat_map(|track| [track[0], track[track.len() - 1]].map(|feature| table.pixel(feature))).collect()
+    };
+    assert!(ends(&kept).len() > 50 && ends(&kept) == ends(&whole), "{}", ends(&kept).len());
 }
 
 /// Maximum distance of a track's features from the texture's true positions, pixels.

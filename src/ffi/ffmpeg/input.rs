@@ -9,12 +9,13 @@ use std::io::{Seek, SeekFrom};
 use std::mem::MaybeUninit;
 use std::path::Path;
 use std::ptr;
+use std::sync::Arc;
 
 use ffmpeg_sys_the_third as sys;
 use rustix::io::Errno;
 
 use super::FfmpegError;
-use crate::files;
+use crate::files::{self, Growth};
 
 /// Bytes that are read at once, as many as FFmpeg's own reader of files takes.
 const BUFFER_BYTES: usize = 32 << 10;
@@ -22,25 +23,33 @@ const BUFFER_BYTES: usize = 32 << 10;
 /// A regular file behind FFmpeg's interface for input.
 pub(super) struct Input {
     pub(super) context: *mut sys::AVIOContext,
-    file: *mut File,
+    opened: *mut Opened,
+}
+
+/// The file that FFmpeg's functions get.
+struct Opened {
+    file: File,
+    /// Of a file that is still written, whose end is not yet known.
+    growth: Option<Arc<Growth>>,
 }
 
 #[allow(unsafe_code)]
 impl Input {
-    /// Opens a regular file.
+    /// Opens a regular file. One that grows is read once, from its beginning to its end: no seeking.
     ///
     /// # Errors
     /// [`FfmpegError::Open`] with the system's words, [`FfmpegError::Memory`].
-    pub(super) fn open(path: &Path) -> Result<Self, FfmpegError> {
+    pub(super) fn open(path: &Path, growth: Option<Arc<Growth>>) -> Result<Self, FfmpegError> {
         let file = files::open(path).map_err(|error| FfmpegError::Open(error.to_string()))?;
-        let mut input = Self { context: ptr::null_mut(), file: Box::into_raw(Box::new(file)) };
+        let seek = if growth.is_some() { None } else { Some(seek as SeekFunction) };
+        let mut input = Self { context: ptr::null_mut(), opened: Box::into_raw(Box::new(Opened { file, growth })) };
         // SAFETY: the buffer is FFmpeg's own; it becomes the context's, or is freed here. The file lives until `drop`,
         // which is after the last call of the functions.
         unsafe {
             let buffer = sys::av_malloc(BUFFER_BYTES).cast::<u8>();
             if !buffer.is_null() {
-                let (size, file) = (BUFFER_BYTES as c_int, input.file.cast());
-                input.context = sys::avio_alloc_context(buffer, size, 0, file, Some(read), None, Some(seek));
+                let (size, opened) = (BUFFER_BYTES as c_int, input.opened.cast());
+                input.context = sys::avio_alloc_context(buffer, size, 0, opened, Some(read), None, seek);
                 if input.context.is_null() {
                     sys::av_free(buffer.cast());
                 }
@@ -60,10 +69,14 @@ impl Drop for Input {
                 sys::av_freep((&raw mut (*self.context).buffer).cast());
                 sys::avio_context_free(&mut self.context);
             }
-            drop(Box::from_raw(self.file));
+            drop(Box::from_raw(self.opened));
         }
     }
 }
+
+/// Signature of [`seek`].
+#[allow(unsafe_code)]
+type SeekFunction = unsafe extern "C" fn(*mut c_void, i64, c_int) -> i64;
 
 /// Refuses to open a second file on behalf of a container.
 ///
@@ -81,30 +94,33 @@ pub(super) unsafe extern "C" fn refuse(
 }
 
 #[allow(unsafe_code)]
-unsafe extern "C" fn read(file: *mut c_void, buffer: *mut u8, size: c_int) -> c_int {
-    // SAFETY: `file` is the one of `open`, and `buffer` has room for `size` bytes.
-    let (file, buffer) = unsafe {
+unsafe extern "C" fn read(opened: *mut c_void, buffer: *mut u8, size: c_int) -> c_int {
+    // SAFETY: `opened` is the one of `open`, and `buffer` has room for `size` bytes.
+    let (Opened { file, growth }, buffer) = unsafe {
         let size = usize::try_from(size).unwrap_or(0);
-        (&*file.cast::<File>(), std::slice::from_raw_parts_mut(buffer.cast::<MaybeUninit<u8>>(), size))
+        (&*opened.cast::<Opened>(), std::slice::from_raw_parts_mut(buffer.cast::<MaybeUninit<u8>>(), size))
     };
     loop {
-        match rustix::io::read(file, &mut *buffer) {
-            Ok(([], _)) => return sys::AVERROR_EOF,
-            Ok((read, _)) => return c_int::try_from(read.len()).unwrap_or(0),
-            Err(Errno::INTR) => {}
-            Err(error) => return sys::AVERROR(error.raw_os_error()),
+        // Looked up before reading: what was written before the end is read.
+        let growing = growth.as_deref().filter(|growth| !growth.is_finished());
+        match (rustix::io::read(file, &mut *buffer), growing) {
+            (Ok(([], _)), Some(growth)) => growth.wait(),
+            (Ok(([], _)), None) => return sys::AVERROR_EOF,
+            (Ok((read, _)), _) => return c_int::try_from(read.len()).unwrap_or(0),
+            (Err(Errno::INTR), _) => {}
+            (Err(error), _) => return sys::AVERROR(error.raw_os_error()),
         }
     }
 }
 
 #[allow(unsafe_code)]
-unsafe extern "C" fn seek(file: *mut c_void, offset: i64, whence: c_int) -> i64 {
+unsafe extern "C" fn seek(opened: *mut c_void, offset: i64, whence: c_int) -> i64 {
     /// Of `<stdio.h>`, as are the next two.
     const SEEK_SET: c_int = 0;
     const SEEK_CUR: c_int = 1;
     const SEEK_END: c_int = 2;
-    // SAFETY: `file` is the one of `open`; FFmpeg calls from one thread at a time.
-    let file = unsafe { &mut *file.cast::<File>() };
+    // SAFETY: `opened` is the one of `open`; FFmpeg calls from one thread at a time.
+    let file = unsafe { &mut (*opened.cast::<Opened>()).file };
     let found = match whence & !sys::AVSEEK_FORCE {
         sys::AVSEEK_SIZE => file.metadata().map(|found| found.len()),
         SEEK_SET => file.seek(SeekFrom::Start(u64::try_from(offset).unwrap_or(u64::MAX))),

@@ -4,12 +4,18 @@ use std::ffi::{CStr, CString, c_int};
 use std::os::unix::ffi::OsStrExt;
 use std::path::Path;
 use std::ptr;
+use std::sync::Arc;
 
 use ffmpeg_sys_the_third as sys;
 
 use super::formats::{self, Admission};
 use super::input::{self, Input};
 use super::{Decoder, FfmpegError, checked, is_short_of_memory, stated, words};
+use crate::files::Growth;
+
+/// Time of a growing file, microseconds, that FFmpeg examines before the first frame; its default of 5 s would delay
+/// everything by as much.
+const PROBED_US: &CStr = c"500000";
 
 /// Errors in a row after which a file is taken to be at its end.
 const MAX_READ_ERRORS: u32 = 64;
@@ -166,10 +172,23 @@ impl MediaFile {
     /// [`FfmpegError::Open`] where FFmpeg does not know it or finds it broken, or it is not a format of one file;
     /// [`FfmpegError::Playlist`].
     pub fn open(path: &Path) -> Result<Self, FfmpegError> {
+        Self::open_as(path, None)
+    }
+
+    /// As [`MediaFile::open`], of a file that is still written. Reading waits for data at its end.
+    ///
+    /// # Errors
+    /// As [`MediaFile::open`].
+    pub fn open_growing(path: &Path, growth: Arc<Growth>) -> Result<Self, FfmpegError> {
+        Self::open_as(path, Some(growth))
+    }
+
+    fn open_as(path: &Path, growth: Option<Arc<Growth>>) -> Result<Self, FfmpegError> {
+        let is_growing = growth.is_some();
         let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
         let url = CString::new(url).map_err(|_| FfmpegError::Open("path contains a zero byte".to_owned()))?;
         let refused = |code| FfmpegError::Open(words(code));
-        let input = Input::open(path)?;
+        let input = Input::open(path, growth)?;
         let format = probe(&input, &url)?;
         // SAFETY: allocates, or returns null.
         let mut context = unsafe { sys::avformat_alloc_context() };
@@ -184,6 +203,9 @@ impl MediaFile {
             let mut options = ptr::null_mut();
             // No protocol has this name: a demuxer that does not ask `io_open` opens nothing either.
             sys::av_dict_set(&mut options, c"protocol_whitelist".as_ptr(), c"none".as_ptr(), 0);
+            if is_growing {
+                sys::av_dict_set(&mut options, c"analyzeduration".as_ptr(), PROBED_US.as_ptr(), 0);
+            }
             let opened = sys::avformat_open_input(&mut context, url.as_ptr(), format, &mut options);
             sys::av_dict_free(&mut options);
             opened

@@ -24,7 +24,7 @@ use super::{ObjectDescription, Silhouette};
 use crate::math::median;
 use crate::scene::{
     Frame, FrameId, GroundPlane, GroundPosition, GroundTrack, GroundTrackMethod, Image, NoContact, ObjectId,
-    Reconstruction,
+    PlaneBasis, Reconstruction,
 };
 
 /// Fewest positions of a track: fewer have no smooth path, so that nothing tells a position from a mistake.
@@ -53,6 +53,44 @@ pub fn outline_pixels(outlines: &BTreeMap<FrameId, Silhouette>) -> BTreeMap<Fram
     outlines.iter().map(|(frame, outline)| (*frame, outline.hull.clone())).collect()
 }
 
+/// Contact points of a vehicle with the ground.
+#[derive(Clone, Debug, Default)]
+pub struct Contacts {
+    /// Ascending in time, in units of the background, without meters.
+    pub positions: Vec<GroundPosition>,
+    /// On what the ground planes rest, and in how many frames.
+    pub ground: BTreeMap<PlaneBasis, usize>,
+    /// Frames without a contact point, by reason.
+    pub omitted: BTreeMap<NoContact, usize>,
+    /// Widths and heights of the mask at the distance of the contact points, units of the background.
+    pub apparent_sizes: [Vec<f64>; 2],
+}
+
+/// Finds the contact points of a vehicle, each by its frame alone.
+pub fn contacts(id: ObjectId, evidence: &ContactEvidence) -> Contacts {
+    let by_name: BTreeMap<&str, &Image> =
+        evidence.background.images.values().map(|image| (image.name.as_str(), image)).collect();
+    let mut contacts = Contacts::default();
+    for frame in evidence.frames {
+        match evidence.contact(id, frame, by_name.get(frame.name.as_str()).copied()) {
+            Err(why) => *contacts.omitted.entry(why).or_default() += 1,
+            Ok((plane, found)) => {
+                *contacts.ground.entry(plane.basis).or_default() += 1;
+                contacts.apparent_sizes.iter_mut().zip(found.apparent_size).for_each(|(all, size)| all.push(size));
+                contacts.positions.push(GroundPosition {
+                    frame: frame.id,
+                    name: frame.name.clone(),
+                    time_s: frame.time_s,
+                    position: found.position.coords.into(),
+                    error: found.error,
+                    metric: None,
+                });
+            }
+        }
+    }
+    contacts
+}
+
 /// The track of a vehicle on the ground, in units of the background, without verdict and meters.
 ///
 /// * `reason` – why its 3D model cannot be used.
@@ -65,46 +103,26 @@ pub fn ground_track(
     reason: String,
 ) -> Result<GroundTrack, String> {
     let ObjectDescription { id, class, confidence } = description;
-    let by_name: BTreeMap<&str, &Image> =
-        evidence.background.images.values().map(|image| (image.name.as_str(), image)).collect();
-    let mut track = GroundTrack {
+    let Contacts { positions, ground, omitted, apparent_sizes } = contacts(id, evidence);
+    let track = GroundTrack {
         id,
         class,
         confidence,
         method: GroundTrackMethod::GroundContact,
         reason,
         verdict: None,
-        ground: BTreeMap::new(),
-        omitted: BTreeMap::new(),
-        apparent_size: [0.0; 2],
+        ground,
+        omitted,
+        apparent_size: apparent_sizes.map(|all| median(all).unwrap_or_default()),
         apparent_size_m: None,
         travel: None,
-        positions: Vec::new(),
+        positions,
     };
-    let mut sizes: [Vec<f64>; 2] = Default::default();
-    for frame in evidence.frames {
-        match evidence.contact(id, frame, by_name.get(frame.name.as_str()).copied()) {
-            Err(why) => *track.omitted.entry(why).or_default() += 1,
-            Ok((plane, found)) => {
-                *track.ground.entry(plane.basis).or_default() += 1;
-                sizes.iter_mut().zip(found.apparent_size).for_each(|(all, size)| all.push(size));
-                track.positions.push(GroundPosition {
-                    frame: frame.id,
-                    name: frame.name.clone(),
-                    time_s: frame.time_s,
-                    position: found.position.coords.into(),
-                    error: found.error,
-                    metric: None,
-                });
-            }
-        }
-    }
     if track.positions.len() < MIN_POSITIONS {
         let found = track.positions.len();
         let others = track.omissions().map(|said| format!(" ({said})")).unwrap_or_default();
         return Err(format!("contact with the ground in {found} frames only, at least {MIN_POSITIONS} needed{others}"));
     }
-    track.apparent_size = sizes.map(|all| median(all).unwrap_or_default());
     Ok(track)
 }
 

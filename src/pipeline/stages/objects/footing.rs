@@ -15,9 +15,9 @@ use crate::features::tracks::{TrackTable, View};
 use crate::ground::{DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
-use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::hovering;
+use crate::pipeline::{Options, PipelineError};
 use crate::scene::{
     BoundingBox, FrameId, Image, Mask, Movement, ObjectId, ObjectImage, Observation, Point3dId, Reconstruction,
 };
@@ -56,13 +56,7 @@ impl<'a> Footing<'a> {
 
     /// Poses of the views of an object; `None` where there is no ground.
     pub(super) fn poses(&self, id: ObjectId, table: &TrackTable) -> Option<PosePriors> {
-        let sights = sights(table);
-        let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
-        let options = self.run.options;
-        let planes = self.chain().planes(id, &without_poses(table), &options.ground, options.seed).planes;
-        let found = ground_constrained_poses(self.background, &planes, &sights);
-        let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
-        (!found.is_empty()).then_some(PosePriors { poses, error_px: OFF_MIDDLE * extent_px })
+        object_pose_priors(&self.chain(), id, table, self.run.options)
     }
 }
 
@@ -92,6 +86,21 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
 /// Returns true if the border of the image cuts a mask off.
 fn is_cut(bounds: &BoundingBox, mask: &Mask) -> bool {
     bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 == mask.width() || bounds.y1 == mask.height()
+}
+
+/// Poses of the views of an object on the ground; `None` where there is none.
+pub fn object_pose_priors(
+    chain: &GroundChain,
+    id: ObjectId,
+    table: &TrackTable,
+    options: &Options,
+) -> Option<PosePriors> {
+    let sights = sights(table);
+    let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
+    let planes = chain.planes(id, &without_poses(table), &options.ground, options.seed).planes;
+    let found = ground_constrained_poses(chain.background, &planes, &sights);
+    let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
+    (!found.is_empty()).then_some(PosePriors { poses, error_px: OFF_MIDDLE * extent_px })
 }
 
 /// Where the views show their object.

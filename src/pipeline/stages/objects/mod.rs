@@ -26,6 +26,7 @@ use crate::pipeline::inputs::{hovering, order};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, Topic, TrackedObject};
 use footing::Footing;
+pub use footing::object_pose_priors;
 
 const REPORTS: &str = "objects-report.json";
 /// The ground below a camera that does not translate, or `null`.

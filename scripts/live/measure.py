@@ -1,0 +1,299 @@
+#!/usr/bin/env python3
+"""Measures `tractrix live` on a clip that is piped into it at its own rate.
+
+    scripts/live/measure.py VIDEO OUT [--truth SEQUENCE] [--batch OUT] [--seconds S] [-- FLAGS OF tractrix live]
+
+Prints one JSON object: delay from a frame's time to the line of its provisional position, time to the first position
+of each vehicle, dropped frames, load, memory, and with --truth the errors of provisional and final positions against a
+rendered sequence (scene.json), with --batch those of an output folder of `tractrix run` by the same measure. Needs
+ffmpeg and numpy; the program is $TRACTRIX or target/release/tractrix.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+Array = np.ndarray[Any, Any]
+PROGRAM = os.environ.get("TRACTRIX", str(Path(__file__).parents[2] / "target/release/tractrix"))
+
+NEAR_M = 5.0  # another vehicle is further away
+
+
+def paced(video: Path, seconds: float | None, speed: float = 1.0) -> subprocess.Popen[bytes]:
+    """The packets of a clip as MPEG-TS, each at its time, or faster or slower."""
+    limit = ["-t", str(seconds)] if seconds else []
+    form = ["-c", "copy", "-f", "mpegts", "-muxdelay", "0", "-muxpreload", "0", "-flush_packets", "1", "-"]
+    command = ["ffmpeg", "-v", "error", "-readrate", str(speed), *limit, "-i", str(video), "-an", *form]
+    return subprocess.Popen(command, stdout=subprocess.PIPE)
+
+
+def rss_mib(pid: int) -> float:
+    """Resident memory of a process."""
+    try:
+        status = Path(f"/proc/{pid}/status").read_text()
+    except OSError:
+        return 0.0
+    lines = [line.split() for line in status.splitlines() if line.startswith("VmRSS")]
+    return float(lines[0][1]) / 1024 if lines else 0.0
+
+
+class Live:
+    """A run of `tractrix live` on a pipe."""
+
+    def __init__(self, video: Path, out: Path, seconds: float | None, speed: float, flags: list[str]) -> None:
+        source = paced(video, seconds, speed)
+        self.speed = speed
+        command = [PROGRAM, "live", "-", "--output", str(out), "--overwrite", "--no-final-run", *flags]
+        self.program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+        self.begin: float | None = None
+        self.memory: list[tuple[float, float]] = []
+        self.lines: list[tuple[float, dict[str, Any]]] = []
+        threads = [threading.Thread(target=self.relay, args=(source,)), threading.Thread(target=self.watch)]
+        for thread in threads:
+            thread.start()
+        assert self.program.stdout
+        for text in self.program.stdout:
+            self.lines.append((time.monotonic(), json.loads(text)))
+        _, status, usage = os.wait4(self.program.pid, 0)
+        self.program.returncode = self.code = os.waitstatus_to_exitcode(status)
+        self.cpu_s = usage.ru_utime + usage.ru_stime
+        for thread in threads:
+            thread.join()
+
+    def relay(self, source: subprocess.Popen[bytes]) -> None:
+        """Passes the bytes on and notes when they began."""
+        assert source.stdout and self.program.stdin
+        try:
+            while chunk := os.read(source.stdout.fileno(), 1 << 16):
+                self.begin = self.begin or time.monotonic()
+                self.program.stdin.write(chunk)
+                self.program.stdin.flush()
+            self.program.stdin.close()
+        except BrokenPipeError:
+            source.kill()
+
+    def watch(self) -> None:
+        """Samples the memory once a second."""
+        while self.program.returncode is None:
+            self.memory.append((time.monotonic() - (self.begin or time.monotonic()), rss_mib(self.program.pid)))
+            time.sleep(1)
+
+    def of(self, kind: str, state: str | None = None) -> Iterator[tuple[float, dict[str, Any]]]:
+        """Lines of a kind, with the times at which they came."""
+        return ((at, line) for at, line in self.lines if line["kind"] == kind and state in (None, line.get("state")))
+
+    def timing(self) -> dict[str, Any]:
+        """Delays, first positions, drops and memory."""
+        begin = self.begin or 0.0
+        delays = [
+            at - begin - line["t"] / self.speed for at, line in self.of("vehicle", "provisional") if line["position"]
+        ]
+        first_seen: dict[int, float] = {}
+        first_placed: dict[int, float] = {}
+        for at, line in self.of("vehicle", "provisional"):
+            first_seen.setdefault(line["id"], line["t"])
+            if line["position"]:
+                first_placed.setdefault(line["id"], at - begin)
+        waits = {number: round(first_placed[number] - first_seen[number], 2) for number in first_placed}
+        late = [mib for at, mib in self.memory if at > 0.5 * self.memory[-1][0]]
+        end = next((line for _, line in self.of("end")), {})
+        maps = [line for _, line in self.of("map")]
+        return {
+            "exit": self.code,
+            "cpu_s": round(self.cpu_s, 1),
+            "delay_s": quantiles(delays),
+            "vehicles": len(first_seen),
+            "first_position_s": round(min(first_placed.values()), 2) if first_placed else None,
+            "from_first_line_s": waits,
+            "load": [[line["t"], line["level"], line["reason"]] for _, line in self.of("load")],
+            "maps": len(maps),
+            "restarts": sum(not line["is_continued"] for line in maps),
+            "map_s": quantiles([line["seconds"] for line in maps]),
+            "last_map": {
+                key: maps[-1][key] for key in ("keyframes", "points", "scale", "scale_std", "drift_std", "focal_px")
+            }
+            if maps
+            else None,
+            "rss_mib": {"max": round(max((mib for _, mib in self.memory), default=0)), "second_half": spread(late)},
+            "end": {key: value for key, value in end.items() if key != "kind"},
+        }
+
+
+def quantiles(values: list[float]) -> dict[str, float] | None:
+    """Median, 95 % and maximum."""
+    if not values:
+        return None
+    return {name: round(float(np.quantile(values, q)), 3) for name, q in (("p50", 0.5), ("p95", 0.95), ("max", 1.0))}
+
+
+def spread(values: list[float]) -> list[float]:
+    """Least and greatest value."""
+    return [round(min(values)), round(max(values))] if values else []
+
+
+def rotation(wxyz: list[float]) -> Array:
+    """Rotation matrix of a unit quaternion."""
+    w, x, y, z = wxyz
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def umeyama(source: Array, target: Array) -> tuple[float, Array, Array]:
+    """The similarity target = s R source + t."""
+    a, b = source - source.mean(0), target - target.mean(0)
+    u, d, vt = np.linalg.svd(b.T @ a / len(a))
+    sign = np.diag([1, 1, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+    turn = u @ sign @ vt
+    scale = float(np.trace(np.diag(d) @ sign) / (a**2).sum(1).mean())
+    return scale, turn, target.mean(0) - scale * turn @ source.mean(0)
+
+
+class Truth:
+    """A rendered sequence."""
+
+    def __init__(self, folder: Path) -> None:
+        scene = json.loads((folder / "scene.json").read_text())
+        self.cameras = [np.array(frame["T_world_camera"]) for frame in scene["frames"]]
+        self.objects = [np.array(frame["T_world_object"]) for frame in scene["frames"]]
+        self.times = [frame["time_s"] for frame in scene["frames"]]
+        self.mesh = mesh_points(folder / "object_mesh.ply")
+        path = np.diff([camera[:3, 3] for camera in self.cameras], axis=0)
+        self.reach = max(1.0, float(np.linalg.norm(path, axis=1).sum()) / 4)
+
+    def register(self, poses: dict[int, tuple[Array, Array]]) -> tuple[float, Array, Array]:
+        """The similarity from estimated poses (center, axes of the camera as columns) to the true ones.
+
+        By centers, and by points below and ahead of them, since a straight path leaves the roll open.
+        """
+        frames = sorted(poses)
+        true = [self.cameras[k] for k in frames]
+        centers = np.array([poses[k][0] for k in frames])
+        true_centers = np.array([camera[:3, 3] for camera in true])
+        length = np.linalg.norm(np.diff(centers, axis=0), axis=1).sum()
+        ratio = float(np.linalg.norm(np.diff(true_centers, axis=0), axis=1).sum() / length)
+        source = [centers] + [
+            centers + self.reach / ratio * np.array([poses[k][1][:, a] for k in frames]) for a in (1, 2)
+        ]
+        target = [true_centers] + [true_centers + self.reach * np.array([c[:3, a] for c in true]) for a in (1, 2)]
+        scale, turn, shift = umeyama(np.vstack(source), np.vstack(target))
+        return scale, turn, shift
+
+    def errors(self, poses: dict[int, tuple[Array, Array]], positions: dict[int, Array]) -> dict[str, Any] | None:
+        """Errors of positions in a frame of their own."""
+        if len(poses) < 5 or not positions:
+            return None
+        scale, turn, shift = self.register(poses)
+        places = []
+        for k, position in positions.items():
+            world = scale * turn @ position + shift
+            body = np.linalg.inv(self.objects[k])
+            local = body[:3, :3] @ world + body[:3, 3]
+            places.append(local[:3])
+        off = np.array(places) - 0.5 * (self.mesh.max(0) + self.mesh.min(0))
+        spread = np.linalg.norm(off - off.mean(0), axis=1)
+        return {
+            "frames": len(positions),
+            "scale": round(scale, 4),
+            # From the middle of the vehicle, which contact points and models are not exactly; and about their mean.
+            "offset_m": [round(float(x), 2) for x in off.mean(0)],
+            "error_m": round(float(np.linalg.norm(off[:, :2], axis=1).mean()), 3),
+            "spread_m": round(float(np.sqrt((spread**2).mean())), 3),
+            "spread_max_m": round(float(spread.max()), 3),
+        }
+
+
+def mesh_points(path: Path) -> Array:
+    """Vertices of an ASCII or binary PLY."""
+    data = path.read_bytes()
+    head, body = data.split(b"end_header\n", 1)
+    words = [line.split() for line in head.decode().splitlines()]
+    count = next(int(w[2]) for w in words if w[:2] == ["element", "vertex"])
+    start = next(k for k, w in enumerate(words) if w[:2] == ["element", "vertex"])
+    names = []
+    for w in words[start + 1 :]:
+        if w[0] != "property":
+            break
+        names.append((w[2], {"float": "<f4", "float32": "<f4", "double": "<f8", "uchar": "u1", "uint8": "u1"}[w[1]]))
+    if b"format ascii" in head:
+        rows = [line.split()[:3] for line in body.decode().splitlines()[:count]]
+        return np.array(rows, float)
+    table = np.frombuffer(body, np.dtype(names), count)
+    return np.stack([table["x"], table["y"], table["z"]], 1).astype(float)
+
+
+def nearest_track(truth: Truth, tracks: dict[int, dict[int, Array]], poses: dict[int, tuple[Array, Array]]) -> Any:
+    """The errors of the longest track that is near the true vehicle."""
+    found = [truth.errors(poses, track) for track in tracks.values()]
+    near = [errors for errors in found if errors and errors["frames"] >= 5 and errors["error_m"] < NEAR_M]
+    return max(near, key=lambda errors: errors["frames"], default=None)
+
+
+def of_live(truth: Truth, live: Live, state: str, method: str) -> Any:
+    """Errors of the positions of a state and method."""
+    poses: dict[int, tuple[Array, Array]] = {}
+    for _, line in live.of("camera", state):
+        poses[line["frame"]] = np.array(line["position"]), rotation(line["rotation_wxyz"]).T
+    tracks: dict[int, dict[int, Array]] = {}
+    for _, line in live.of("vehicle", state):
+        if line["method"] == method and line["frame"] in poses:
+            tracks.setdefault(line["id"], {})[line["frame"]] = np.array(line["position"])
+    return nearest_track(truth, tracks, poses)
+
+
+def of_batch(truth: Truth, out: Path) -> Any:
+    """Errors of an output folder of `tractrix run`, of its trajectories and of its ground tracks."""
+    poses: dict[int, tuple[Array, Array]] = {}
+    for line in (out / "background/images.txt").read_text().splitlines():
+        words = line.split()
+        if len(words) == 10 and words[-1].endswith(".jpg"):
+            turn, shift = rotation([float(w) for w in words[1:5]]), np.array([float(w) for w in words[5:8]])
+            poses[int(words[-1].split(".")[0])] = -turn.T @ shift, turn.T
+    found = json.loads((out / "trajectories.json").read_text())
+    result = {}
+    for key in ("objects", "ground_tracks"):
+        tracks = {
+            entry["id"]: {pose["frame"]: np.array(pose["position"]) for pose in entry["frames"]}
+            for entry in found.get(key, [])
+        }
+        result[key] = nearest_track(truth, tracks, poses)
+    return result
+
+
+def main() -> None:
+    """Runs, measures and prints."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("video", type=Path)
+    parser.add_argument("out", type=Path)
+    parser.add_argument("--truth", type=Path)
+    parser.add_argument("--batch", type=Path)
+    parser.add_argument("--seconds", type=float)
+    parser.add_argument("--speed", type=float, default=1.0, help="of the clip, for machines with other work")
+    split = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    args, flags = parser.parse_args(sys.argv[1:split]), sys.argv[split + 1 :]
+    live = Live(args.video, args.out, args.seconds, args.speed, flags)
+    result = live.timing()
+    if args.truth:
+        truth = Truth(args.truth)
+        for state, method in (("provisional", "ground-contact"), ("final", "ground-contact"), ("final", "model")):
+            result[f"{state}, {method}"] = of_live(truth, live, state, method)
+        if args.batch:
+            result["batch"] = of_batch(truth, args.batch)
+    print(json.dumps(result, indent=1))
+
+
+if __name__ == "__main__":
+    main()

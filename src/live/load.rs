@@ -1,0 +1,123 @@
+//! Workload: what is reduced when processing does not keep up, in a fixed order.
+
+/// Reductions in the order in which they come into force.
+const REDUCTIONS: [&str; 4] = ["masks at 1 Hz", "detector at 1 Hz", "every second frame", "every fourth frame"];
+/// Time from one look of the detector to the next, and of the mask network, seconds: a run detects twice as often.
+const DETECTOR_S: f64 = 0.4;
+const MASKS_S: f64 = 0.4;
+/// The same where it is reduced.
+const REDUCED_S: f64 = 1.0;
+/// Time over which load is measured before another reduction, seconds: two looks of the detector and more.
+const REACTION_S: f64 = 1.0;
+/// Time without overload after which the last reduction is taken back, seconds.
+const RECOVERY_S: f64 = 5.0;
+/// Share of frames that may be dropped: one is, now and then, where a map and a look of the detector coincide.
+const MAX_DROPPED: f64 = 0.15;
+/// Share below which there is room for more work: what a reduction saves is at most a half.
+const ROOM: f64 = 0.6;
+
+/// Decides what is done in a frame.
+#[derive(Debug, Default)]
+pub(super) struct Load {
+    level: usize,
+    /// Time of the last change, or of the last overload, seconds.
+    since_s: f64,
+    /// Since then: times of processing and of the frames, seconds.
+    busy_s: f64,
+    spent_s: f64,
+    /// Frames processed and dropped since then.
+    num_done: u64,
+    num_dropped: u64,
+    last_s: Option<f64>,
+    last_dropped: u64,
+    count: u64,
+}
+
+impl Load {
+    /// Counts a frame; returns true if it is to be skipped.
+    pub(super) fn skips(&mut self) -> bool {
+        let every = [1, 1, 1, 2, 4][self.level];
+        self.count += 1;
+        !self.count.is_multiple_of(every)
+    }
+
+    /// Seconds between looks of the detector, and of the mask network.
+    pub(super) fn periods_s(&self) -> [f64; 2] {
+        let period_s = |usual: f64, reduced_at: usize| if self.level >= reduced_at { REDUCED_S } else { usual };
+        [period_s(DETECTOR_S, 2), period_s(MASKS_S, 1)]
+    }
+
+    pub(super) fn level(&self) -> usize {
+        self.level
+    }
+
+    pub(super) fn reductions(&self) -> Vec<&'static str> {
+        REDUCTIONS[..self.level].to_vec()
+    }
+
+    /// Takes the time of a frame, that of its processing, and the number of frames dropped so far; gives the reason of a
+    /// change.
+    pub(super) fn note(&mut self, time_s: f64, busy_s: f64, num_dropped: u64) -> Option<String> {
+        self.spent_s += self.last_s.map_or(0.0, |last| time_s - last);
+        self.busy_s += busy_s;
+        self.num_done += 1;
+        // What was dropped before the first frame is the start of the program.
+        self.num_dropped += self.last_s.map_or(0, |_| num_dropped - self.last_dropped);
+        (self.last_s, self.last_dropped) = (Some(time_s), num_dropped);
+        if self.spent_s < REACTION_S {
+            return None;
+        }
+        let (share, dropped) = (self.busy_s / self.spent_s, self.num_dropped);
+        let is_overload = dropped as f64 > MAX_DROPPED * (dropped + self.num_done) as f64;
+        (self.busy_s, self.spent_s, self.num_done, self.num_dropped) = (0.0, 0.0, 0, 0);
+        let percent = 100.0 * share;
+        if is_overload {
+            self.since_s = time_s;
+            if self.level == REDUCTIONS.len() {
+                return None;
+            }
+            self.level += 1;
+            return Some(format!("{dropped} frames dropped within {REACTION_S:.0} s"));
+        }
+        if self.level > 0 && share < ROOM && time_s - self.since_s >= RECOVERY_S {
+            (self.level, self.since_s) = (self.level - 1, time_s);
+            return Some(format!("{RECOVERY_S:.0} s without lag; processing takes {percent:.0} % of the time"));
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Runs frames of 0.1 s from a time on, of which every other one is dropped; gives the changes of level.
+    fn run(load: &mut Load, from_s: f64, to_s: f64, busy_s: f64, drops: bool) -> Vec<usize> {
+        let step_s = if drops { 0.2 } else { 0.1 };
+        let times = (0..).map(|k| from_s + step_s * f64::from(k)).take_while(|time| *time < to_s);
+        let note = |time: f64| {
+            let dropped = load.last_dropped + u64::from(drops);
+            load.note(time, busy_s, dropped).map(|_| load.level())
+        };
+        times.filter_map(note).collect()
+    }
+
+    #[test]
+    fn work_is_reduced_in_order_and_taken_back() {
+        let mut load = Load::default();
+        assert!(run(&mut load, 0.0, 3.0, 0.09, false).is_empty());
+        assert_eq!(run(&mut load, 3.0, 9.5, 0.2, true), [1, 2, 3, 4]);
+        assert_eq!(load.periods_s(), [1.0, 1.0]);
+        assert_eq!((0..8).filter(|_| !load.skips()).count(), 2);
+        assert!(run(&mut load, 9.5, 13.0, 0.03, false).is_empty(), "not before 5 s without lag");
+        assert_eq!(run(&mut load, 13.0, 40.0, 0.03, false), [3, 2, 1, 0]);
+        assert_eq!((load.periods_s(), load.skips()), ([DETECTOR_S, MASKS_S], false));
+    }
+
+    #[test]
+    fn work_without_room_is_not_taken_back() {
+        let mut load = Load::default();
+        assert_eq!(run(&mut load, 0.0, 1.3, 0.2, true), [1]);
+        assert!(run(&mut load, 1.3, 30.0, 0.08, false).is_empty());
+    }
+}

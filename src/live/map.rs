@@ -1,0 +1,429 @@
+//! The map of the window: the batch mapper on its keyframes, in the frame of the maps before.
+//!
+//! Every update reconstructs the keyframes of the window from their tracks, starting from the poses of the last map.
+//! Points that both maps have align the new one with the last (Umeyama). Nothing else is carried over, so that memory
+//! and time do not grow; what is lost is that the standard deviation of lengths grows with every alignment.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use nalgebra::{Point3, Vector3};
+
+use super::line::{CameraLine, LengthUnit, MapLine, State};
+use super::models::{self, Model};
+use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
+use super::{LiveError, Purpose};
+use crate::camera::Camera;
+use crate::ground::{
+    BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, camera_height, dominant_plane_points, find_mount,
+};
+use crate::mapper::{self, Intrinsics, PosePriors};
+use crate::math::{Rigid3, Sim3, median, umeyama};
+use crate::metric::{Fused, Kind, Level, Measured, Source, frame_on_ground, fuse};
+use crate::pipeline::Options;
+use crate::scene::{Frame, FrameId, GroundPlane, MetricFrame, MetricVerdict, ObjectId, Point3d, Reconstruction};
+use crate::trajectory::{Outlines, outline_pixels};
+
+/// Fewest keyframes of a first map: two seconds of a camera that moves.
+pub(super) const MIN_KEYS: usize = 6;
+/// Fewest points of a map, and fewest that two maps must share to be aligned.
+const MIN_POINTS: usize = 60;
+const MIN_SHARED: usize = 20;
+/// Share of its keyframes that a map must register.
+const MIN_REGISTERED: f64 = 0.7;
+/// Views that must show a point: keyframes are far apart, and of two every match is consistent.
+const MIN_TRACK: usize = 3;
+/// Error of image positions by poses of the last map, pixels.
+const PRIOR_PX: f64 = 4.0;
+/// Standard deviation of the focal length, as a share, below which an estimate is not trusted: windows share views,
+/// so that what they add is less than their number suggests.
+const LEAST_FOCAL_STD: f64 = 0.01;
+/// Number of points, of those that two maps share, that count as independent: errors of neighbors are alike.
+const INDEPENDENT: f64 = 20.0;
+/// Standard deviation of the slope of roads, radians; as in the stage `metric`.
+const SLOPE_STD: f64 = 0.035;
+/// Time from the first map on over which the camera's height is measured, seconds. Then the meters are held: a local
+/// frame whose unit changes as the camera climbs would be of no use.
+const HEIGHT_S: f64 = 3.0;
+/// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
+const NOMINAL_HEIGHT_M: f64 = 10.0;
+
+/// A map, and what is derived from it.
+pub(super) struct WorldMap {
+    pub(super) revision: u32,
+    /// Keyframes and all other frames of the window that could be registered.
+    pub(super) model: Reconstruction,
+    /// The same without images.
+    pub(super) local: Reconstruction,
+    pub(super) camera: Camera,
+    pub(super) focal_std: Option<f64>,
+    /// True if it is in the frame of the map before.
+    pub(super) is_continued: bool,
+    pub(super) ground: Ground,
+    /// Meters, or lengths of an arbitrary unit.
+    pub(super) frame: MetricFrame,
+    pub(super) is_metric: bool,
+    /// Time of the last frame, seconds.
+    pub(super) time_s: f64,
+    pub(super) purpose: Purpose,
+    pub(super) line: MapLine,
+    /// Vehicles with a model, by their provisional ids.
+    pub(super) models: BTreeMap<ObjectId, Model>,
+}
+
+impl WorldMap {
+    /// A pose in the local frame.
+    pub(super) fn camera_line(&self, frame: &Frame, cam_from_world: &Rigid3, state: State) -> CameraLine {
+        let pose = self.frame.metric_from_world().transform_camera(cam_from_world);
+        let q = pose.rotation.into_inner();
+        CameraLine {
+            t: frame.time_s,
+            frame: frame.id.0,
+            state,
+            revision: self.revision,
+            unit: if self.is_metric { LengthUnit::M } else { LengthUnit::Arbitrary },
+            position: pose.center().coords.into(),
+            rotation_wxyz: [q.w, q.i, q.j, q.k],
+        }
+    }
+}
+
+/// Sources of ground planes.
+#[derive(Default)]
+pub(super) struct Ground {
+    dominant: Option<DominantPlane>,
+    mount: Option<Mount>,
+}
+
+impl Ground {
+    /// The planes below an object in the images of a model.
+    pub(super) fn planes(
+        &self,
+        model: &Reconstruction,
+        outlines: &Outlines,
+        id: ObjectId,
+        options: &Options,
+    ) -> BTreeMap<FrameId, GroundPlane> {
+        let pixels = outlines.get(&id).map(outline_pixels).unwrap_or_default();
+        self.chain(model, options).planes_below(id, &pixels, &options.ground, options.seed).planes
+    }
+
+    /// All sources in order.
+    pub(super) fn chain<'a>(&'a self, model: &'a Reconstruction, options: &Options) -> GroundChain<'a> {
+        let contact = &options.scale.joint.contact;
+        GroundChain {
+            background: model,
+            labelled: &[],
+            dominant: self.dominant.as_ref(),
+            mount: self.mount.as_ref(),
+            hovering: None,
+            shape: BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation },
+        }
+    }
+}
+
+/// Makes one map after the other.
+pub(super) struct Mapper {
+    options: Options,
+    camera: Camera,
+    known: Intrinsics,
+    revision: u32,
+    last: Option<Reconstruction>,
+    /// The vertical and origin of the local frame: those of the first map.
+    level: Option<Level>,
+    /// Height of the camera above the ground in the first maps of this frame, units: the mean, and of how many.
+    height: Option<(Measured, f64)>,
+    /// Time of the first map of this frame, seconds.
+    begin_s: f64,
+    /// Meters per unit where nothing gives them, held from the first map on.
+    nominal: Option<f64>,
+    /// Variance of the logarithm of lengths by the alignments so far.
+    drift: f64,
+}
+
+impl Mapper {
+    pub(super) fn new(options: &Options, camera: Camera, known: Intrinsics) -> Self {
+        Self {
+            options: options.clone(),
+            camera,
+            known,
+            revision: 0,
+            last: None,
+            level: None,
+            height: None,
+            begin_s: f64::NEG_INFINITY,
+            nominal: None,
+            drift: 0.0,
+        }
+    }
+
+    /// Makes the map of a window; `None` where its frames do not give one.
+    ///
+    /// # Errors
+    /// [`LiveError::Mapper`], which would be a bug.
+    pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Option<WorldMap>, LiveError> {
+        let begin = Instant::now();
+        let keys = keyframes(snapshot);
+        let table = sub_table(&snapshot.table, &keys, MIN_TRACK);
+        let pose = |&view: &usize| snapshot.poses.get(&snapshot.frames[view].id).copied();
+        let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
+        let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
+        let options = mapper::Options { max_starts: 1, ..self.options.background.mapper.clone() };
+        let seed = self.options.seed;
+        let (mut model, report) = mapper::reconstruct_watched(
+            &table,
+            &[self.camera],
+            self.known,
+            &options,
+            seed,
+            priors.as_ref(),
+            &mut |_| {},
+        )?;
+        let is_usable = model.images.len() as f64 >= MIN_REGISTERED * keys.len() as f64;
+        let Some(camera) = model.cameras.values().next().copied().filter(|_| is_usable) else { return Ok(None) };
+        if model.points.len() < MIN_POINTS {
+            return Ok(None);
+        }
+        let is_continued = self.align(&mut model);
+        (self.camera, self.revision) = (camera, self.revision + 1);
+        let focal_std = report.focal_deviations.first().copied().flatten();
+        if let Some(std) = focal_std {
+            self.known = Intrinsics { focal: self.known.focal.min(std.max(LEAST_FOCAL_STD)), ..self.known };
+        }
+        self.last = Some(model.clone());
+        let (keyframes, points) = (model.images.len(), model.points.len());
+        register_others(&mut model, snapshot, &camera);
+        let dominant = dominant_plane_points(self.last.as_ref().unwrap_or(&model), &self.options.ground, seed);
+        let mount = find_mount(&model, None, &self.options.ground, seed).ok();
+        let problem = dominant.as_ref().err().map(ToString::to_string);
+        let ground = Ground { dominant: dominant.ok(), mount };
+        let time_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s);
+        if !is_continued {
+            self.begin_s = time_s;
+        }
+        let (frame, is_metric) = self.metric(&model, &ground, focal_std.unwrap_or(0.0), time_s);
+        let line = MapLine {
+            t: time_s,
+            revision: self.revision,
+            keyframes,
+            points,
+            focal_px: camera.mean_focal(),
+            focal_std,
+            is_continued,
+            drift_std: self.drift.sqrt(),
+            scale: is_metric.then_some(frame.scale),
+            scale_std: is_metric.then_some(frame.std.scale),
+            models: 0,
+            problem,
+            seconds: 0.0,
+        };
+        let revision = self.revision;
+        let local = Reconstruction { images: BTreeMap::new(), ..model.clone() };
+        let mut map = WorldMap {
+            revision,
+            model,
+            local,
+            camera,
+            focal_std,
+            is_continued,
+            ground,
+            frame,
+            is_metric,
+            time_s,
+            purpose: snapshot.purpose,
+            line,
+            models: BTreeMap::new(),
+        };
+        for subject in &snapshot.subjects {
+            let found = models::place(subject, &map, &snapshot.outlines, &snapshot.frames, &self.options)?;
+            map.models.extend(found.map(|model| (subject.object, model)));
+        }
+        (map.line.models, map.line.seconds) = (map.models.len(), begin.elapsed().as_secs_f64());
+        Ok(Some(map))
+    }
+
+    /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.
+    fn align(&mut self, model: &mut Reconstruction) -> bool {
+        let found = self.last.as_ref().and_then(|last| alignment(model, last));
+        match found {
+            Some((last_from_model, variance)) => {
+                model.transform(&last_from_model);
+                self.drift += variance;
+                true
+            }
+            None => {
+                (self.level, self.height, self.nominal, self.drift) = (None, None, None, 0.0);
+                false
+            }
+        }
+    }
+
+    /// The metric frame, and whether its meters are known.
+    fn metric(&mut self, model: &Reconstruction, ground: &Ground, focal_std: f64, time_s: f64) -> (MetricFrame, bool) {
+        let none = Vec::new();
+        let points = ground.dominant.as_ref().map_or(&none, |dominant| &dominant.point_ids);
+        let below = camera_height(model, points, &self.options.ground, self.options.seed).ok();
+        let mount = ground.mount.as_ref().and_then(|mount| Measured::new(mount.height, mount.height_std));
+        let found = mount.or_else(|| below.as_ref().and_then(|below| Measured::new(below.mean, below.std)));
+        if let Some(found) = found.filter(|_| self.height.is_none() || time_s - self.begin_s <= HEIGHT_S) {
+            let (mean, count) = self.height.map_or((0.0, 0.0), |(mean, count)| (mean.value, count));
+            let value = (mean * count + found.value) / (count + 1.0);
+            // Maps share their frames: their errors do not average out.
+            let mean = Measured { value, std: found.std / found.value * value };
+            self.height = Some((mean, count + 1.0));
+        }
+        let height = self.height.map(|(mean, _)| Measured { std: mean.std.hypot(focal_std * mean.value), ..mean });
+        let surveyed = |name: &str, (log_scale, std): (f64, f64)| {
+            let std = std.hypot(self.drift.sqrt());
+            Source { name: name.to_owned(), kind: Kind::Surveyed, log_scale, std }
+        };
+        let metric = &self.options.metric;
+        let of_scale = metric.scale.map(|scale| surveyed("given scale", scale.log()));
+        let of_height = metric.camera_height.zip(height);
+        let of_height = of_height.map(|(given, units)| surveyed("camera height", given.log_ratio(&units)));
+        let sources: Vec<Source> = of_scale.into_iter().chain(of_height).collect();
+        let level = *self.level.get_or_insert_with(|| level(model, below.as_ref()));
+        let known = fuse(&sources);
+        let is_metric = known.is_some();
+        let nominal = *self.nominal.get_or_insert(height.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
+        let verdict = MetricVerdict::Unknown;
+        let unit = || Fused { scale: nominal, std: 0.0, verdict, shares: Vec::new(), contradictions: Vec::new() };
+        let fused = known.unwrap_or_else(unit);
+        (frame_on_ground(&fused, &level), is_metric)
+    }
+}
+
+/// The vertical and the origin; as in the stage `metric`.
+fn level(model: &Reconstruction, below: Option<&CameraHeight>) -> Level {
+    /// Standard deviation of a camera's tilt where no ground is visible, radians.
+    const CAMERA_TILT_STD: f64 = 0.5;
+    let poses = || model.images.values().map(|image| image.cam_from_world);
+    let of_cameras = || poses().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum::<Vector3<f64>>();
+    let (up, tilt_std) = below.map_or_else(
+        || (of_cameras(), CAMERA_TILT_STD),
+        |below| (below.up_in_world, SLOPE_STD.hypot(0.5 * below.tilt_spread)),
+    );
+    let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
+    let first = poses().next().unwrap_or_else(Rigid3::identity);
+    let (forward, upper) = (first.rotation.inverse() * Vector3::z(), first.rotation.inverse() * -Vector3::y());
+    // Straight down the upper edge of the image points ahead.
+    let ahead_in_world = if forward.angle(&-up_in_world) < 0.3 { upper } else { forward };
+    let origin_in_world = below.map_or_else(|| first.center(), |below| below.foot_in_world);
+    Level { up_in_world, tilt_std, ahead_in_world, origin_in_world }
+}
+
+/// The similarity between two maps by the points that they share, and the variance of its logarithmic scale.
+fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64)> {
+    let shared = |point: &Point3d| {
+        let before = point.track.iter().find_map(|element| {
+            last.images.get(&element.image)?.observations.get(element.observation_idx as usize)?.point
+        })?;
+        Some((point.position, last.points.get(&before)?.position))
+    };
+    let mut pairs: Vec<(Point3<f64>, Point3<f64>)> = model.points.values().filter_map(shared).collect();
+    let mut found = None;
+    // Points far away have large errors: those within three times the median residual decide.
+    for _ in 0..4 {
+        if pairs.len() < MIN_SHARED {
+            return None;
+        }
+        let (from, to): (Vec<_>, Vec<_>) = pairs.iter().copied().unzip();
+        let similarity = umeyama(&from, &to)?;
+        let residual = |(from, to): &(Point3<f64>, Point3<f64>)| (similarity * *from - to).norm();
+        let typical = median(pairs.iter().map(residual).collect())?;
+        let center = Point3::from(to.iter().map(|p| p.coords).sum::<Vector3<f64>>() / to.len() as f64);
+        let spread = median(to.iter().map(|p| (p - center).norm()).collect())?;
+        let count = (pairs.len() as f64).min(INDEPENDENT);
+        found = Some((similarity, (typical / spread).powi(2) / count));
+        pairs.retain(|pair| residual(pair) <= 3.0 * typical);
+    }
+    found.filter(|(similarity, variance)| similarity.scale.is_finite() && variance.is_finite())
+}
+
+/// Adds the frames of the window that are no keyframes.
+fn register_others(model: &mut Reconstruction, snapshot: &Snapshot, camera: &Camera) {
+    let is_open = |view: &usize| !model.images.contains_key(&snapshot.table.views[*view].image);
+    let views: Vec<usize> = (0..snapshot.frames.len()).filter(is_open).collect();
+    let points = known_points(&snapshot.table, model, &views);
+    for (&view, points) in views.iter().zip(points) {
+        let seen = &snapshot.table.views[view];
+        let before = model.images.range(..seen.image).next_back().map(|(_, image)| image.cam_from_world);
+        if let Some(image) = resected(&seen.pixels, &seen.name, points, model, camera, before, &LIMITS) {
+            model.images.insert(seen.image, image);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::features::tracks::{Feature, TrackTable, View};
+    use crate::scene::{Image, ImageId, TrackElement};
+    use crate::synthetic::scene::{self, CameraMotion, static_scene};
+
+    /// What a window of a scene shows.
+    fn snapshot(scene: &Reconstruction, views: std::ops::Range<u32>) -> Snapshot {
+        let images: Vec<_> = views.map(|k| (ImageId(k + 1), &scene.images[&ImageId(k + 1)])).collect();
+        let mut table = TrackTable::default();
+        for (id, image) in &images {
+            let pixels: Vec<_> = image.observations.iter().map(|seen| seen.pixel).collect();
+            let (rgb, whitening) = (vec![[0; 3]; pixels.len()], Vec::new());
+            table.views.push(View { image: *id, name: image.name.clone(), camera: 0, pixels, rgb, whitening });
+        }
+        for point in scene.points.values() {
+            let place = |image: ImageId| images.iter().position(|(id, _)| *id == image);
+            let feature = |e: &TrackElement| Some(Feature { view: place(e.image)? as u32, feature: e.observation_idx });
+            table.tracks.push(point.track.iter().filter_map(feature).collect());
+        }
+        let frame = |(id, image): &(ImageId, &Image)| Frame {
+            id: id.frame(),
+            name: image.name.clone(),
+            time_s: 0.1 * f64::from(id.0),
+        };
+        let frames: Vec<Frame> = images.iter().map(frame).collect();
+        // Every third is a keyframe, in all windows.
+        let is_key = frames.iter().map(|frame| frame.id.0 % 3 == 0).collect();
+        let (poses, subjects, outlines) = Default::default();
+        Snapshot { table, frames, is_key, poses, subjects, outlines, purpose: Purpose::Final }
+    }
+
+    #[test]
+    fn maps_continue_in_the_frame_of_the_first() {
+        let options = scene::Options {
+            num_images: 60,
+            num_points: 4000,
+            path: CameraMotion::Flight,
+            noise_px: 0.1,
+            ..scene::Options::default()
+        };
+        let scene = static_scene(&options);
+        let mut mapper = Mapper::new(&Options::default(), options.camera, Intrinsics::FIXED);
+        let mut maps: Vec<WorldMap> = Vec::new();
+        for begin in [0, 10, 20] {
+            let mut snapshot = snapshot(&scene, begin..begin + 40);
+            let images = maps.iter().flat_map(|map| &map.model.images);
+            snapshot.poses = images.map(|(id, image)| (id.frame(), image.cam_from_world)).collect();
+            maps.push(mapper.update(&snapshot).unwrap().expect("a map"));
+        }
+        assert_eq!(maps.iter().map(|map| map.is_continued).collect::<Vec<_>>(), [false, true, true]);
+        assert!(maps.iter().all(|map| map.model.images.len() == 40), "the others are registered");
+        // From the true frame to that of the first map, by its cameras; the last ones were not among them.
+        let center = |model: &Reconstruction, k: u32| model.images[&ImageId(k + 1)].cam_from_world.center();
+        let (from, to): (Vec<_>, Vec<_>) = scene
+            .points
+            .values()
+            .filter_map(|point| {
+                let e = point.track.first()?;
+                let seen = maps[0].model.images.get(&e.image)?.observations[e.observation_idx as usize].point?;
+                Some((point.position, maps[0].model.points[&seen].position))
+            })
+            .unzip();
+        let first_from_true = umeyama(&from, &to).unwrap();
+        let error = (center(&maps[2].model, 59) - first_from_true * center(&scene, 59)).norm();
+        let length = first_from_true.scale * (center(&scene, 59) - center(&scene, 0)).norm();
+        assert!(error < 0.02 * length, "{error} of {length}");
+        assert!(maps[2].line.drift_std > 0.0 && maps[0].line.drift_std == 0.0);
+        let far = mapper.update(&snapshot(&static_scene(&scene::Options { seed: 5, ..options }), 0..3)).unwrap();
+        assert!(far.is_none(), "three views are no map");
+    }
+}

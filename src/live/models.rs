@@ -1,0 +1,145 @@
+//! Vehicles with a 3D model: structure from motion of the vehicle in the window, placed by the adjustment with the
+//! ground, as in a run.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Matrix3, Point3};
+
+use super::LiveError;
+use super::map::WorldMap;
+use super::window::{Limits, known_points, resected, sub_table};
+use crate::features::TrackTable;
+use crate::mapper::{self, Intrinsics};
+use crate::pipeline::{Options, object_pose_priors};
+use crate::scene::{Frame, FrameId, ImageId, ObjectId, ObjectTrajectory, Reconstruction, TimeBase, Unit};
+use crate::trajectory::{self, Candidate, Evidence, ModelOrigin, ObjectDescription, Outlines, verdicts};
+
+/// Views of a model: the time of an adjustment grows faster than their number.
+const MAX_VIEWS: usize = 30;
+/// Fewest views of a model.
+const MIN_VIEWS: usize = 8;
+/// Views that must show a point.
+const MIN_TRACK: usize = 3;
+/// Limits of the pose of a further view: those of the mapper for objects.
+const LIMITS: Limits = Limits { max_error_px: 3.0, min_inliers: 7, min_inlier_ratio: 0.25 };
+
+/// A vehicle of the window.
+pub(super) struct Subject {
+    /// Provisional id of the tracker.
+    pub(super) object: ObjectId,
+    pub(super) class: String,
+    pub(super) confidence: f64,
+    pub(super) table: TrackTable,
+}
+
+/// A vehicle in its place.
+pub(super) struct Model {
+    pub(super) trajectory: ObjectTrajectory,
+    /// Covariance of each position without that of the scale ratio, units of the map.
+    pub(super) covariances: BTreeMap<FrameId, Matrix3<f64>>,
+}
+
+impl Model {
+    /// Standard deviation of the scale ratio, as a share.
+    pub(super) fn log_ratio_std(&self) -> f64 {
+        // Of a ratio without one: what methods differ by where they work; as in the stage `metric`.
+        const UNSTATED: f64 = 0.1;
+        self.trajectory.scale.std.map_or(UNSTATED, |std| std / self.trajectory.scale.ratio)
+    }
+
+    /// Error of a position besides that of the scale ratio.
+    pub(super) fn covariance(&self, frame: FrameId) -> Matrix3<f64> {
+        // That of the nearest view of the adjustment.
+        let before = self.covariances.range(..=frame).next_back();
+        let nearest = before.or_else(|| self.covariances.range(frame..).next());
+        nearest.map_or_else(Matrix3::zeros, |(_, covariance)| *covariance)
+    }
+
+    /// Position in a frame, in the frame of the map.
+    pub(super) fn position(&self, frame: FrameId) -> Option<Point3<f64>> {
+        let place = self.trajectory.poses.binary_search_by_key(&frame, |pose| pose.frame).ok()?;
+        Some(Point3::from(self.trajectory.poses[place].position))
+    }
+}
+
+/// Reconstructs a vehicle and places it; `None` where its window does not determine it.
+///
+/// # Errors
+/// [`LiveError::Mapper`], which would be a bug.
+pub(super) fn place(
+    subject: &Subject,
+    map: &WorldMap,
+    outlines: &Outlines,
+    frames: &[Frame],
+    options: &Options,
+) -> Result<Option<Model>, LiveError> {
+    let Subject { object: id, class, confidence, table } = subject;
+    let registered: Vec<usize> =
+        (0..table.views.len()).filter(|&view| map.model.images.contains_key(&table.views[view].image)).collect();
+    let stride = registered.len().div_ceil(MAX_VIEWS).max(1);
+    let chosen: Vec<usize> = registered.iter().copied().step_by(stride).collect();
+    if chosen.len() < MIN_VIEWS {
+        return Ok(None);
+    }
+    let sparse = sub_table(table, &chosen, MIN_TRACK);
+    let chain = map.ground.chain(&map.model, options);
+    let poses = object_pose_priors(&chain, *id, &sparse, options);
+    let mapper_options = mapper::Options { max_starts: 1, ..options.objects.mapper.clone() };
+    let (model, _) = mapper::reconstruct_watched(
+        &sparse,
+        &[map.camera],
+        Intrinsics::FIXED,
+        &mapper_options,
+        options.seed,
+        poses.as_ref(),
+        &mut |_| {},
+    )?;
+    if model.images.len() < MIN_VIEWS {
+        return Ok(None);
+    }
+    let planes = chain.planes(*id, &model, &options.ground, options.seed).planes;
+    let silhouettes = outlines.get(id).cloned().unwrap_or_default();
+    let description = ObjectDescription { id: *id, class: class.clone(), confidence: *confidence };
+    let evidence = Evidence {
+        description: description.clone(),
+        origin: ModelOrigin::Reconstructed,
+        background: &map.model,
+        object: &model,
+        planes: &planes,
+        silhouettes: &silhouettes,
+        frames,
+        focal_std: map.focal_std,
+    };
+    let placed = trajectory::place(&evidence, &options.scale);
+    let Ok(found) = placed.trajectory else { return Ok(None) };
+    let candidate = Candidate {
+        trajectory: &found,
+        tracked: None,
+        object: &placed.object,
+        background: &map.model,
+        planes: &planes,
+        options: &options.scale,
+    };
+    let is_refuted = verdicts(&[candidate], TimeBase::Seconds, &[]).iter().any(|verdict| verdict.is_refuted());
+    if found.scale.degenerate || is_refuted {
+        return Ok(None);
+    }
+    let whole = with_others(placed.object, table, &registered, map);
+    let trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames, Unit::Background);
+    Ok(Some(Model { trajectory, covariances: placed.pose_covariances }))
+}
+
+/// The model with the views that were not chosen.
+fn with_others(mut model: Reconstruction, table: &TrackTable, views: &[usize], map: &WorldMap) -> Reconstruction {
+    let open = |view: &&usize| !model.images.contains_key(&table.views[**view].image);
+    let views: Vec<usize> = views.iter().filter(open).copied().collect();
+    let points = known_points(table, &model, &views);
+    for (&view, points) in views.iter().zip(points) {
+        let seen = &table.views[view];
+        let id: ImageId = seen.image;
+        let before = model.images.range(..id).next_back().map(|(_, image)| image.cam_from_world);
+        let image = resected(&seen.pixels, &seen.name, points, &model, &map.camera, before, &LIMITS);
+        model.images.extend(image.map(|image| (id, image)));
+    }
+    model
+}

@@ -1,0 +1,243 @@
+//! Image points of the background in the latest frames, and the pose of every frame in the current map.
+
+use std::collections::BTreeMap;
+
+use ::image::RgbImage;
+use nalgebra::Point2;
+
+use super::map::WorldMap;
+use super::models::Subject;
+use super::{LiveError, Purpose, WINDOW_S};
+use crate::camera::Camera;
+use crate::features::tracks::{Feature, Track, TrackTable};
+use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
+use crate::geometry::resection::{self, PixelsAndPoints};
+use crate::math::{Rigid3, median, seeded_rng};
+use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, Point3dId, Reconstruction};
+use crate::trajectory::Outlines;
+
+/// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
+const MAX_POINTS: usize = 700;
+/// Keyframes of a map.
+const MAX_KEYS: usize = 30;
+/// Time between keyframes at least, seconds: then they cover the window.
+const KEY_S: f64 = WINDOW_S / MAX_KEYS as f64;
+/// Keyframes of a first map, which follow one another without such a time: it is to come soon.
+const FIRST_KEYS: usize = 12;
+/// Median displacement between keyframes at least, as a share of the longer side: 12 px of 1280. A camera that does not
+/// move keeps the keyframes of before, which show depth.
+const KEY_SHIFT: f64 = 12.0 / 1280.0;
+/// Share of its points that the last keyframe may lose before there is another one.
+const KEY_SHARED: f64 = 0.5;
+/// Time beyond the window for which views are kept, seconds: a map under way may still make them final.
+const SPARE_S: f64 = 4.0;
+/// Views beyond the kept ones at which they are dropped. Re-detection forgets its keyframes then.
+const SPARE_VIEWS: usize = 40;
+/// Limits of a pose: those of the mapper for the background.
+pub(super) const LIMITS: Limits = Limits { max_error_px: 4.0, min_inliers: 20, min_inlier_ratio: 0.2 };
+
+/// Limits of a pose by resection.
+pub(super) struct Limits {
+    /// Maximum error of an inlier, pixels.
+    pub(super) max_error_px: f64,
+    /// Fewest inliers.
+    pub(super) min_inliers: usize,
+    /// Smallest share of inliers.
+    pub(super) min_inlier_ratio: f64,
+}
+
+/// State of the window that a map is made of.
+pub(super) struct Snapshot {
+    pub(super) table: TrackTable,
+    pub(super) frames: Vec<Frame>,
+    pub(super) is_key: Vec<bool>,
+    /// Poses in the frame of the last map.
+    pub(super) poses: BTreeMap<FrameId, Rigid3>,
+    /// Vehicles whose points are tracked.
+    pub(super) subjects: Vec<Subject>,
+    pub(super) outlines: Outlines,
+    pub(super) purpose: Purpose,
+}
+
+/// Tracks points through the latest frames.
+pub(super) struct Window {
+    front_end: VideoFrontEnd,
+    camera: Camera,
+    /// Of the views of the front end.
+    frames: Vec<Frame>,
+    is_key: Vec<bool>,
+    poses: BTreeMap<FrameId, Rigid3>,
+}
+
+impl Window {
+    pub(super) fn new(camera: Camera) -> Self {
+        let options = VideoOptions { max_points: MAX_POINTS, ..VideoOptions::background() };
+        let front_end = VideoFrontEnd::new(options, camera);
+        Self { front_end, camera, frames: Vec::new(), is_key: Vec::new(), poses: BTreeMap::new() }
+    }
+
+    /// Takes the next frame.
+    pub(super) fn push(&mut self, frame: &Frame, picture: &RgbImage, background: &Mask) -> Result<(), LiveError> {
+        self.front_end.push(frame, picture, background)?;
+        self.frames.push(frame.clone());
+        self.is_key.push(false);
+        let is_key = self.is_keyframe();
+        if let Some(last) = self.is_key.last_mut() {
+            *last = is_key;
+        }
+        self.forget(frame.time_s);
+        Ok(())
+    }
+
+    /// The camera as the last map has it.
+    pub(super) fn camera(&self) -> Camera {
+        self.camera
+    }
+
+    /// Number of keyframes.
+    pub(super) fn num_keys(&self) -> usize {
+        self.is_key.iter().filter(|is_key| **is_key).count()
+    }
+
+    /// The window, with vehicles in it.
+    pub(super) fn snapshot(&self, purpose: Purpose, subjects: Vec<Subject>, outlines: Outlines) -> Snapshot {
+        let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
+        Snapshot { table, frames, is_key, poses: self.poses.clone(), subjects, outlines, purpose }
+    }
+
+    /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.
+    pub(super) fn take_poses(&mut self, map: &WorldMap) {
+        if !map.is_continued {
+            self.poses.clear();
+        }
+        for (id, image) in &map.model.images {
+            self.poses.insert(id.frame(), image.cam_from_world);
+        }
+        self.camera = map.camera;
+    }
+
+    /// The last frame as an image of a map; `None` where too few of its points are known.
+    pub(super) fn register(&mut self, map: &WorldMap) -> Option<(ImageId, Image)> {
+        let view = self.frames.len().checked_sub(1)?;
+        let points = known_points(self.front_end.table(), &map.model, &[view]).pop()?;
+        let before = self.frames[..view].iter().rev().find_map(|frame| self.poses.get(&frame.id)).copied();
+        let table_view = &self.front_end.table().views[view];
+        let image = resected(&table_view.pixels, &table_view.name, points, &map.model, &self.camera, before, &LIMITS)?;
+        self.poses.insert(self.frames[view].id, image.cam_from_world);
+        Some((table_view.image, image))
+    }
+
+    fn is_keyframe(&self) -> bool {
+        let table = self.front_end.table();
+        let now = self.frames.len() - 1;
+        let Some(before) = self.is_key.iter().rposition(|is_key| *is_key) else { return true };
+        let is_early = self.frames[now].time_s - self.frames[before].time_s < 0.99 * KEY_S;
+        if is_early && self.num_keys() >= FIRST_KEYS {
+            return false;
+        }
+        let pixel = |track: &Track, view: usize| {
+            let place = track.binary_search_by_key(&(view as u32), |feature| feature.view).ok()?;
+            Some(table.pixel(track[place]))
+        };
+        let ends_now = |track: &&Track| track.last().is_some_and(|last| last.view as usize == now);
+        let shifts =
+            table.tracks.iter().filter(ends_now).filter_map(|track| Some(pixel(track, now)? - pixel(track, before)?));
+        let shifts: Vec<f64> = shifts.map(|shift| shift.norm()).collect();
+        let is_lost = (shifts.len() as f64) < KEY_SHARED * table.views[before].pixels.len() as f64;
+        let longer_px = f64::from(self.camera.width.max(self.camera.height));
+        is_lost || median(shifts).is_none_or(|shift| shift >= KEY_SHIFT * longer_px)
+    }
+
+    /// Drops the views that neither are in the window nor are keyframes of the next map.
+    fn forget(&mut self, now_s: f64) {
+        let num_keys = self.num_keys();
+        let mut keys_left = num_keys;
+        let kept: Vec<bool> = self
+            .frames
+            .iter()
+            .zip(&self.is_key)
+            .map(|(frame, is_key)| {
+                let is_recent_key = *is_key && keys_left <= MAX_KEYS;
+                keys_left -= usize::from(*is_key);
+                is_recent_key || now_s - frame.time_s <= WINDOW_S + SPARE_S
+            })
+            .collect();
+        if kept.iter().filter(|kept| !**kept).count() < SPARE_VIEWS {
+            return;
+        }
+        self.front_end.retain_views(|view, _| kept[view]);
+        let mut is_kept = kept.iter().copied();
+        self.frames.retain(|_| is_kept.next().unwrap_or(false));
+        let mut is_kept = kept.iter().copied();
+        self.is_key.retain(|_| is_kept.next().unwrap_or(false));
+        let first = self.frames.iter().map(|frame| frame.id).collect::<std::collections::BTreeSet<_>>();
+        self.poses.retain(|frame, _| first.contains(frame));
+    }
+}
+
+/// The keyframes of a map among the views of a snapshot.
+pub(super) fn keyframes(snapshot: &Snapshot) -> Vec<usize> {
+    let keys: Vec<usize> = (0..snapshot.is_key.len()).filter(|&view| snapshot.is_key[view]).collect();
+    keys[keys.len().saturating_sub(MAX_KEYS)..].to_vec()
+}
+
+/// The tracks of some views that at least `min_track` of them show.
+pub(super) fn sub_table(table: &TrackTable, chosen: &[usize], min_track: usize) -> TrackTable {
+    let mut place = vec![None; table.views.len()];
+    chosen.iter().enumerate().for_each(|(k, &view)| place[view] = Some(k as u32));
+    let of_track = |track: &Track| {
+        let kept = track.iter().filter_map(|f| Some(Feature { view: place[f.view as usize]?, feature: f.feature }));
+        Some(kept.collect::<Track>()).filter(|track| track.len() >= min_track)
+    };
+    let views = chosen.iter().map(|&view| table.views[view].clone()).collect();
+    TrackTable { views, tracks: table.tracks.iter().filter_map(of_track).collect() }
+}
+
+/// For some views of a table the point of a model that each feature shows, by the tracks that both have in common.
+pub(super) fn known_points(table: &TrackTable, model: &Reconstruction, views: &[usize]) -> Vec<Vec<Option<Point3dId>>> {
+    let images: Vec<Option<&Image>> = table.views.iter().map(|view| model.images.get(&view.image)).collect();
+    let mut place = vec![None; table.views.len()];
+    views.iter().enumerate().for_each(|(k, &view)| place[view] = Some(k));
+    let mut found: Vec<Vec<Option<Point3dId>>> =
+        views.iter().map(|&view| vec![None; table.views[view].pixels.len()]).collect();
+    for track in &table.tracks {
+        let wanted =
+            || track.iter().filter_map(|feature| Some((place[feature.view as usize]?, feature.feature as usize)));
+        if wanted().next().is_none() {
+            continue;
+        }
+        let mut seen =
+            track.iter().filter_map(|f| images[f.view as usize]?.observations.get(f.feature as usize)?.point);
+        let Some(point) = seen.next() else { continue };
+        wanted().for_each(|(k, feature)| found[k][feature] = Some(point));
+    }
+    found
+}
+
+/// An image of a model by resection; `None` where too few points agree.
+///
+/// * `points` – by feature.
+/// * `before` – a pose nearby.
+pub(super) fn resected(
+    pixels: &[Point2<f64>],
+    name: &str,
+    points: Vec<Option<Point3dId>>,
+    model: &Reconstruction,
+    camera: &Camera,
+    before: Option<Rigid3>,
+    limits: &Limits,
+) -> Option<Image> {
+    let known =
+        pixels.iter().zip(&points).filter_map(|(pixel, id)| Some((*pixel, model.points.get(&(*id)?)?.position)));
+    let (seen, positions): (Vec<_>, Vec<_>) = known.unzip();
+    let data = PixelsAndPoints { camera, pixels: &seen, points: &positions };
+    let is_enough = |found: &resection::Resection| {
+        let inliers = found.inliers.len();
+        inliers >= limits.min_inliers && inliers as f64 >= limits.min_inlier_ratio * seen.len() as f64
+    };
+    let near = before.and_then(|pose| resection::refine_from(&data, &pose, limits.max_error_px)).filter(is_enough);
+    let found =
+        near.or_else(|| resection::estimate(&data, limits.max_error_px, &mut seeded_rng(0, 0)).filter(is_enough))?;
+    let observations = pixels.iter().zip(points).map(|(&pixel, point)| Observation { pixel, point }).collect();
+    Some(Image { name: name.to_owned(), camera: CameraId(1), cam_from_world: found.cam_from_world, observations })
+}
