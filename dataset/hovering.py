@@ -83,7 +83,8 @@ def write_inputs(sequence: Path, output: Path, seed: int) -> None:
         start, end = (f"00:00:{t:06.3f}".replace(".", ",") for t in (k * step, (k + 1) * step - 1e-3))
         lines += [f"{k + 1}", f"{start} --> {end}", f"FrameCnt: {k + 1}, DiffTime: 100ms"]
         lines += [
-            f"[latitude: {latitude:.6f}] [longitude: {longitude:.6f}] [rel_alt: {at[2]:.3f} abs_alt: {at[2] + 400:.3f}] "
+            f"[latitude: {latitude:.6f}] [longitude: {longitude:.6f}] "
+            f"[rel_alt: {at[2]:.3f} abs_alt: {at[2] + 400:.3f}] "
             f"[gb_yaw: {yaw:.1f} gb_pitch: {pitch:.1f} gb_roll: {roll:.1f}]",
             "",
         ]
@@ -176,7 +177,9 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
 def _state(what: str, errors: np.ndarray) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
-    print(f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m")
+    print(
+        f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m"
+    )
 
 
 def images(run: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:
