@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -67,7 +68,9 @@ def from_map(longitude: float, latitude: float) -> np.ndarray:
 
 
 def write_inputs(sequence: Path, output: Path, seed: int) -> None:
-    """Writes video.SRT and points.geojson."""
+    """Writes video.SRT and points.geojson, and copies the video."""
+    output.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(sequence / "video.mp4", output / "video.mp4")
     truth, r = Truth.read(sequence), np.random.default_rng(seed)
     gimbal, position = r.normal(0, GIMBAL_STD), np.array([*r.normal(0, RECEIVER_STD, 2), r.normal(0, HEIGHT_STD)])
     step = 1.0 / truth.scene["fps"]
