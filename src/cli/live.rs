@@ -95,7 +95,7 @@ fn follow(
     drop(folder);
     match found {
         Ok(end) => talk.say(&in_words(&end)),
-        Err(error) if talk.stopped_by().is_some() => tracing::warn!("{error}"),
+        Err(error) if talk.stopped_by().is_some() => tracing::error!("{error}"),
         Err(error) => return Err(Failure::Input(anyhow!("{}: {error}", source.display()))),
     }
     Ok(path)

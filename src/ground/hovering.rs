@@ -100,8 +100,8 @@ const BOX_LENGTH: f64 = 0.01;
 const MOST_SIGHTS: usize = 20;
 /// Sights to both sides between which a vehicle's direction is taken.
 const REACH: usize = 3;
-/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one degree,
-/// poles within some.
+/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one
+/// degree, poles within some.
 const ROLL_STD: f64 = 0.035;
 /// Inclinations that are tried, radians: from a horizon just outside the image to straight down, over a slope.
 const PITCHES: [f64; 2] = [0.03, 1.65];

@@ -55,8 +55,8 @@ impl Load {
         REDUCTIONS[..self.level].to_vec()
     }
 
-    /// Takes the time of a frame, that of its processing, and the number of frames dropped so far; gives the reason of a
-    /// change.
+    /// Takes the time of a frame, that of its processing, and the number of frames dropped so far; gives the reason of
+    /// a change.
     pub(super) fn note(&mut self, time_s: f64, busy_s: f64, num_dropped: u64) -> Option<String> {
         self.spent_s += self.last_s.map_or(0.0, |last| time_s - last);
         self.busy_s += busy_s;

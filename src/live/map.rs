@@ -361,7 +361,7 @@ mod tests {
     use crate::scene::{Image, ImageId, TrackElement};
     use crate::synthetic::scene::{self, CameraMotion, static_scene};
 
-    /// What a window of a scene shows.
+    /// Window of a scene: its images and tracks.
     fn snapshot(scene: &Reconstruction, views: std::ops::Range<u32>) -> Snapshot {
         let images: Vec<_> = views.map(|k| (ImageId(k + 1), &scene.images[&ImageId(k + 1)])).collect();
         let mut table = TrackTable::default();

@@ -35,6 +35,7 @@ use crate::io::interchange::colmap;
 use crate::mapper::{Intrinsics, MapperError};
 use crate::networks::PerceptionError;
 use crate::pipeline::{IntrinsicsSource, Options};
+use crate::scene::Topic;
 use crate::video::{Source, VideoError};
 use frames::{Arrived, Newest, Next};
 use load::Load;
@@ -139,7 +140,7 @@ pub fn run(
             Next::Over => break,
         }
         if let Some(error) = newest.take_error() {
-            tracing::warn!("{error}");
+            tracing::warn!("{}", Topic::FrameNotDecoded.warning(error.to_string()));
         }
     }
     live.finish(is_stopped)

@@ -157,10 +157,10 @@ pub(in crate::mapper) mod tests {
         let camera = Camera::with_focal(1280, 720, 1000.0);
         let mut rng = seeded_rng(5, 0);
         let points: Vec<Point3<f64>> =
-            (0..400).map(|_| Point3::new(rng.random_range(-60.0..60.0), rng.random_range(-20.0..60.0), 40.0)).collect();
+            (0..400).map(|_| Point3::new(rng.random_range(-60.0..60.0), rng.random_range(-60.0..20.0), 40.0)).collect();
         let mut table = empty_table(60);
         table.tracks = vec![Vec::new(); points.len()];
-        let down = UnitQuaternion::from_euler_angles(0.5, 0.0, 0.0);
+        let down = UnitQuaternion::from_euler_angles(-0.5, 0.0, 0.0);
         let mut rotations = Vec::new();
         for view in 0..60u32 {
             let phase = f64::from(view) / 10.0;

@@ -49,13 +49,14 @@ const MIN_VIEWS: usize = 6;
 const PARTS: [usize; 2] = [4, 3];
 /// Standard deviation of the camera's position, heights: a meter of wind at 30 m.
 const CENTER_STD: f64 = 0.03;
-/// Inclinations from which the adjustment starts, radians: one plane has two normals that explain a pair of views.
+/// Inclinations from which the adjustment starts, radians, of cameras that are upright: one plane has two normals that
+/// explain a pair of views.
 const STARTS: [f64; 5] = [0.25, 0.6, 0.95, 1.25, 1.55];
 /// Scale of the robust loss, pixels: tracking noise. Points off the plane deviate by their height's share of the sway.
 const LOSS_PX: f64 = 0.5;
 const ROUNDS: usize = 25;
-/// Factor of the standard deviations: houses and trees are off the plane, and common to neighboring parts. Pitch and tilt
-/// of two rendered flights (46 and 50 m above a street) were off by 1.7 sandwiches, root mean square.
+/// Factor of the standard deviations: houses and trees are off the plane, and common to neighboring parts. Pitch and
+/// tilt of two rendered flights (46 and 50 m above a street) were off by 1.7 sandwiches, root mean square.
 const OFF_PLANE: f64 = 1.7;
 /// Standard deviation of a plane's normal that is common to all points, radians: a street's camber and its sidewalks.
 const LEAST_TILT_STD: f64 = 0.005;

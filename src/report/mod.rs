@@ -66,7 +66,7 @@ pub enum ReportError {
         source: image::ImageError,
     },
     /// OpenCV refuses to shrink a picture.
-    #[error("picture of the report: cannot be shrunk: {0}")]
+    #[error("image of the report: cannot be shrunk: {0}")]
     Shrink(#[from] crate::image::ImageError),
     /// The film of the page cannot be written.
     #[error("film of the report: cannot be written: {0}")]

@@ -14,8 +14,8 @@ const CAMERA: CameraId = CameraId(1);
 
 /// The ground by the sway of the camera, or `null`.
 const SWAY: &str = "sway-ground.json";
-/// Standard deviation of a normal beyond which the adjustment is not linear, and the sway shows none, radians. With half
-/// of it the focal length of a flight at 46 m, known to 2 %, was lost, too.
+/// Standard deviation of a normal beyond which the adjustment is not linear, and the sway shows none, radians. With
+/// half of it the focal length of a flight at 46 m, known to 2 %, was lost, too.
 const MAX_TILT_STD: f64 = 0.3;
 
 /// The ground by the sway of a camera that hovers; `None` where it shows none. The stage must be done.
