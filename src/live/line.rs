@@ -8,6 +8,7 @@ use crate::scene::{NoContact, ObjectId};
 /// A line of live.jsonl and of stdout: one JSON object.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 #[serde(tag = "kind", rename_all = "kebab-case")]
+#[schemars(extend("type" = "object"))]
 pub enum Line {
     /// A vehicle in one frame.
     Vehicle(VehicleLine),
