@@ -15,7 +15,8 @@ use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_tab
 use super::{LiveError, Purpose};
 use crate::camera::Camera;
 use crate::ground::{
-    BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, camera_height, dominant_plane_points, find_mount,
+    BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, SLOPE_STD, camera_height, dominant_plane_points,
+    find_mount,
 };
 use crate::mapper::{self, Intrinsics, PosePriors};
 use crate::math::{Rigid3, Sim3, median, umeyama};
@@ -40,8 +41,6 @@ const PRIOR_PX: f64 = 4.0;
 const LEAST_FOCAL_STD: f64 = 0.01;
 /// Number of points, of those that two maps share, that count as independent: errors of neighbors are alike.
 const INDEPENDENT: f64 = 20.0;
-/// Standard deviation of the slope of roads, radians; as in the stage `metric`.
-const SLOPE_STD: f64 = 0.035;
 /// Time from the first map on over which the camera's height is measured, seconds. Then the meters are held: a local
 /// frame whose unit changes as the camera climbs would be of no use.
 const HEIGHT_S: f64 = 3.0;
