@@ -242,14 +242,15 @@ def nearest_track(truth: Truth, tracks: dict[int, dict[int, Array]], poses: dict
     return max(near, key=lambda errors: errors["frames"], default=None)
 
 
-def of_live(truth: Truth, live: Live, state: str, method: str) -> Any:
-    """Errors of the positions of a state and method."""
+def of_live(truth: Truth, live: Live, state: str, method: str | None) -> Any:
+    """Errors of the positions of a state and method, or of all centers."""
     poses: dict[int, tuple[Array, Array]] = {}
     for _, line in live.of("camera", state):
         poses[line["frame"]] = np.array(line["position"]), rotation(line["rotation_wxyz"]).T
     tracks: dict[int, dict[int, Array]] = {}
     for _, line in live.of("vehicle", state):
-        if line["method"] == method and line["frame"] in poses:
+        is_wanted = line["method"] == method if method else line["method"] in ("corrected-contact", "model")
+        if is_wanted and line["frame"] in poses:
             tracks.setdefault(line["id"], {})[line["frame"]] = np.array(line["position"])
     return nearest_track(truth, tracks, poses)
 
@@ -288,8 +289,9 @@ def main() -> None:
     result = live.timing()
     if args.truth:
         truth = Truth(args.truth)
-        for state, method in (("provisional", "ground-contact"), ("final", "ground-contact"), ("final", "model")):
-            result[f"{state}, {method}"] = of_live(truth, live, state, method)
+        for state in ("provisional", "final"):
+            for method in ("ground-contact", "corrected-contact", "model", None):
+                result[f"{state}, {method or 'all'}"] = of_live(truth, live, state, method)
         if args.batch:
             result["batch"] = of_batch(truth, args.batch)
     print(json.dumps(result, indent=1))

@@ -18,7 +18,7 @@ use super::recording::{self, STDIN};
 use super::run;
 use super::terminal::TerminalProgress;
 use crate::files::{self, Growth};
-use crate::live::{self, EndLine, Job};
+use crate::live::{self, EndLine, Job, Order};
 use crate::pipeline::{MaskChoice, Options, Progress, Stage};
 
 /// Name of the file of results in the output folder.
@@ -91,7 +91,18 @@ fn follow(
     // Flow at two thirds of the usual size takes half the time.
     options.flow.max_dimension = options.flow.max_dimension.min(FLOW_PX);
     let task = Job { recording: &path, growth, is_paced: is_file, options: &options };
-    let found = live::run(&task, &mut |line| lines.write(line), &|| talk.is_stopped());
+    let stop = talk.stop();
+    let order = || match (talk.is_stopped(), stop.has_ended_recording()) {
+        (true, _) => Order::Stop,
+        (false, true) => Order::EndRecording,
+        (false, false) => Order::Continue,
+    };
+    stop.begin_recording();
+    let found = live::run(&task, &mut |line| lines.write(line), &order);
+    stop.complete_recording();
+    if stop.has_ended_recording() {
+        talk.say("recording ended by a signal; another one stops the program");
+    }
     drop(folder);
     match found {
         Ok(end) => talk.say(&in_words(&end)),
@@ -136,11 +147,15 @@ impl Recorder {
         let mut grown = Instant::now();
         loop {
             match self.input.read(&mut chunk) {
-                Ok(0) if self.grows && grown.elapsed() < END_OF_GROWTH => thread::sleep(POLL),
+                Ok(0) if self.grows && grown.elapsed() < END_OF_GROWTH && !self.growth.is_finished() => {
+                    thread::sleep(POLL);
+                }
                 Ok(0) => return Ok(()),
                 Ok(count) => {
-                    self.file.write_all(&chunk[..count])?;
-                    self.growth.grow();
+                    let Self { file, growth, .. } = self;
+                    if !growth.grow(|| file.write_all(&chunk[..count]))? {
+                        return Ok(());
+                    }
                     grown = Instant::now();
                 }
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}

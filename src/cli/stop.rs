@@ -1,5 +1,7 @@
 //! Signals that ask the program to end: SIGINT (Ctrl-C), SIGTERM and SIGHUP.
 //!
+//! A live recording is ended by the first SIGINT or SIGTERM, after which its run begins; the next signal ends that.
+//!
 //! A run ends at the next unit of work, a frame or an object, and tells so; where the unit at hand takes longer than
 //! [`GRACE`], it is dropped. Nothing is ever left half-written, so that dropping is safe, and a second signal does it
 //! at once. Whoever starts programs knows by the exit code whether to start this one again: a person's Ctrl-C is 130,
@@ -41,6 +43,8 @@ pub(super) enum Order {
     AtOnce,
     /// At the next unit of work, which stays.
     NextUnit,
+    /// The same, of a run on a recording that the command made itself.
+    Recorded,
 }
 
 impl Order {
@@ -49,6 +53,7 @@ impl Order {
         match self {
             Self::AtOnce => "stopped; the same command starts again",
             Self::NextUnit => "stopped; the same command resumes",
+            Self::Recorded => "stopped; `tractrix run` on the recording gives the results",
         }
     }
 }
@@ -58,6 +63,16 @@ impl Order {
 pub(super) struct Stop {
     signal: Arc<AtomicI32>,
     in_order: Arc<AtomicBool>,
+    recording: Arc<Recording>,
+}
+
+/// State of a recording, which the first SIGINT or SIGTERM ends without ending the program.
+#[derive(Debug, Default)]
+struct Recording {
+    is_current: AtomicBool,
+    is_ended: AtomicBool,
+    /// True from its begin to the end of the program.
+    has_begun: AtomicBool,
 }
 
 /// Signals from the moment on at which this was made, until someone listens.
@@ -83,8 +98,11 @@ impl Stop {
         let (asked, last_words) = (stop.clone(), Arc::new(last_words));
         thread::spawn(move || {
             for signal in signals.forever() {
+                if asked.ends_recording(signal) {
+                    continue;
+                }
                 let is_first = asked.signal.compare_exchange(NONE, signal, Ordering::SeqCst, Ordering::SeqCst).is_ok();
-                let grace = if is_first && asked.order() == Order::NextUnit { GRACE } else { Duration::ZERO };
+                let grace = if is_first && asked.order() != Order::AtOnce { GRACE } else { Duration::ZERO };
                 let (asked, last_words) = (asked.clone(), last_words.clone());
                 thread::spawn(move || {
                     thread::sleep(grace);
@@ -100,6 +118,29 @@ impl Stop {
         self.in_order.store(true, Ordering::SeqCst);
     }
 
+    /// From here on the first SIGINT or SIGTERM ends the recording alone.
+    pub(super) fn begin_recording(&self) {
+        self.recording.has_begun.store(true, Ordering::SeqCst);
+        self.recording.is_current.store(true, Ordering::SeqCst);
+    }
+
+    /// The recording is complete: from here on signals end the program.
+    pub(super) fn complete_recording(&self) {
+        self.recording.is_current.store(false, Ordering::SeqCst);
+    }
+
+    /// Returns true if a signal has ended the recording.
+    pub(super) fn has_ended_recording(&self) -> bool {
+        self.recording.is_ended.load(Ordering::SeqCst)
+    }
+
+    /// Takes a signal as the end of the recording, if there is one.
+    fn ends_recording(&self, signal: i32) -> bool {
+        let ends = signal != SIGHUP && self.recording.is_current.swap(false, Ordering::SeqCst);
+        self.recording.is_ended.fetch_or(ends, Ordering::SeqCst);
+        ends
+    }
+
     /// The signal that asked first.
     pub(super) fn signal(&self) -> Option<Signal> {
         let signal = self.signal.load(Ordering::SeqCst);
@@ -108,7 +149,11 @@ impl Stop {
 
     /// Kind of ending.
     pub(super) fn order(&self) -> Order {
-        if self.in_order.load(Ordering::SeqCst) { Order::NextUnit } else { Order::AtOnce }
+        match (self.in_order.load(Ordering::SeqCst), self.recording.has_begun.load(Ordering::SeqCst)) {
+            (false, _) => Order::AtOnce,
+            (true, false) => Order::NextUnit,
+            (true, true) => Order::Recorded,
+        }
     }
 
     /// Ends the process whatever it is at.
@@ -160,5 +205,17 @@ mod tests {
         assert_eq!((stop.signal(), stop.order()), (None, Order::AtOnce));
         stop.end_in_order();
         assert_eq!(stop.order(), Order::NextUnit);
+    }
+
+    #[test]
+    fn the_first_signal_ends_a_recording_and_the_second_the_program() {
+        let stop = Stop::default();
+        assert!(!stop.ends_recording(SIGTERM), "there is none");
+        stop.begin_recording();
+        assert!(!stop.ends_recording(SIGHUP) && !stop.has_ended_recording());
+        assert!(stop.ends_recording(SIGINT) && stop.has_ended_recording());
+        assert!(!stop.ends_recording(SIGINT));
+        stop.end_in_order();
+        assert_eq!(stop.order(), Order::Recorded);
     }
 }

@@ -147,6 +147,11 @@ impl TerminalProgress {
         self.stop.end_in_order();
     }
 
+    /// Signals that end a recording.
+    pub(super) fn stop(&self) -> &Stop {
+        &self.stop
+    }
+
     /// Says that a signal ended the program.
     pub(super) fn say_stopped(&self) {
         self.finish();

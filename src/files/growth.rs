@@ -1,5 +1,6 @@
 //! A file that another thread still writes.
 
+use std::io;
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::Duration;
 
@@ -14,9 +15,17 @@ pub struct Growth {
 }
 
 impl Growth {
-    /// Wakes the readers: there is more.
-    pub fn grow(&self) {
-        self.changed.notify_all();
+    /// Adds data by a function and wakes the readers; returns false, without calling it, if the file has ended.
+    ///
+    /// # Errors
+    /// Those of the function.
+    pub fn grow(&self, add: impl FnOnce() -> io::Result<()>) -> io::Result<bool> {
+        let is_finished = self.is_finished.lock().unwrap_or_else(PoisonError::into_inner);
+        if !*is_finished {
+            add()?;
+            self.changed.notify_all();
+        }
+        Ok(!*is_finished)
     }
 
     /// Ends the file: readers reach its end.

@@ -19,15 +19,15 @@ pub(super) struct Arrived {
 }
 
 /// Result of waiting for a frame.
-pub(super) enum Next {
-    Frame(Box<Arrived>),
+pub(super) enum Next<T> {
+    Frame(T),
     /// None came in time.
     Nothing,
     /// The recording has ended.
     Over,
 }
 
-/// A queue of length one between decoder and tracker.
+/// A queue of length one between decoder and perception.
 pub(super) struct Newest {
     slot: Arc<(Mutex<Slot>, Condvar)>,
 }
@@ -71,7 +71,7 @@ impl Newest {
     }
 
     /// Takes the newest frame; waits for one up to `patience`.
-    pub(super) fn take(&self, patience: Duration) -> Next {
+    pub(super) fn take(&self, patience: Duration) -> Next<Box<Arrived>> {
         let mut slot = lock(&self.slot.0);
         if slot.frame.is_none() && !slot.is_over {
             slot = self.slot.1.wait_timeout(slot, patience).unwrap_or_else(PoisonError::into_inner).0;

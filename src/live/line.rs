@@ -16,6 +16,8 @@ pub enum Line {
     Camera(CameraLine),
     /// The map around the camera was updated.
     Map(MapLine),
+    /// There has been no map for a while, and no position; sent once.
+    NoMap(NoMapLine),
     /// The workload was reduced, or a reduction was taken back.
     Load(LoadLine),
     /// The end of the recording.
@@ -40,6 +42,18 @@ pub enum PositionMethod {
     GroundContact,
     /// Of the center of the 3D model.
     Model,
+    /// Of the contact point with the ground, moved to the center of the 3D model by their offset in frames nearby.
+    CorrectedContact,
+}
+
+/// Motion state of a vehicle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum MotionState {
+    /// Its speed is below walking pace, by two standard deviations.
+    Stationary,
+    /// Its speed differs from zero by three standard deviations.
+    Moving,
 }
 
 /// Unit of length of positions.
@@ -83,6 +97,8 @@ pub struct VehicleLine {
     pub covariance: Option<[f64; 6]>,
     /// Why there is no position.
     pub reason: Option<NoContact>,
+    /// Motion state; null where the positions leave it open.
+    pub motion: Option<MotionState>,
     /// Velocity, per second; null for fewer than four positions.
     pub velocity: Option<[f64; 3]>,
     /// Standard deviation of the speed, per second.
@@ -143,6 +159,15 @@ pub struct MapLine {
     pub problem: Option<String>,
     /// Time of computation, seconds.
     pub seconds: f64,
+}
+
+/// Absence of a map.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct NoMapLine {
+    /// Time of the frame, seconds of the recording.
+    pub t: f64,
+    /// Why, and what helps.
+    pub reason: String,
 }
 
 /// A change of the workload.

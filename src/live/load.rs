@@ -25,7 +25,7 @@ pub(super) struct Load {
     /// Since then: times of processing and of the frames, seconds.
     busy_s: f64,
     spent_s: f64,
-    /// Frames processed and dropped since then.
+    /// Frames processed or skipped, and dropped, since then.
     num_done: u64,
     num_dropped: u64,
     last_s: Option<f64>,
@@ -38,7 +38,9 @@ impl Load {
     pub(super) fn skips(&mut self) -> bool {
         let every = [1, 1, 1, 2, 4][self.level];
         self.count += 1;
-        !self.count.is_multiple_of(every)
+        let skips = !self.count.is_multiple_of(every);
+        self.num_done += u64::from(skips);
+        skips
     }
 
     /// Seconds between looks of the detector, and of the mask network.
@@ -55,8 +57,8 @@ impl Load {
         REDUCTIONS[..self.level].to_vec()
     }
 
-    /// Takes the time of a frame, that of its processing, and the number of frames dropped so far; gives the reason of
-    /// a change.
+    /// Takes the time of a processed frame, the duration of its slower stage, and the number of frames dropped so far;
+    /// gives the reason of a change.
     pub(super) fn note(&mut self, time_s: f64, busy_s: f64, num_dropped: u64) -> Option<String> {
         self.spent_s += self.last_s.map_or(0.0, |last| time_s - last);
         self.busy_s += busy_s;

@@ -47,6 +47,35 @@ const HEIGHT_S: f64 = 3.0;
 /// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
 const NOMINAL_HEIGHT_M: f64 = 10.0;
 
+/// Reason why a window gives no map.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub(super) enum NoMap {
+    /// The camera hardly moves.
+    #[error("camera hardly moves: {found} of {MIN_KEYS} keyframes; fly sideways or forward")]
+    Keyframes {
+        /// Keyframes so far.
+        found: usize,
+    },
+    /// Too few keyframes fit together.
+    #[error(
+        "{registered} of {keyframes} keyframes registered: too little parallax or texture; fly sideways or forward"
+    )]
+    Registration {
+        /// Keyframes with a pose.
+        registered: usize,
+        /// All of them.
+        keyframes: usize,
+    },
+    /// Too few points.
+    #[error(
+        "{found} points reconstructed, {MIN_POINTS} needed: too little parallax or texture; fly sideways or forward"
+    )]
+    Points {
+        /// Points so far.
+        found: usize,
+    },
+}
+
 /// A map, and what is derived from it.
 pub(super) struct WorldMap {
     pub(super) revision: u32,
@@ -156,11 +185,11 @@ impl Mapper {
         }
     }
 
-    /// Makes the map of a window; `None` where its frames do not give one.
+    /// Makes the map of a window, or tells why its frames do not give one.
     ///
     /// # Errors
     /// [`LiveError::Mapper`], which would be a bug.
-    pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Option<WorldMap>, LiveError> {
+    pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Result<WorldMap, NoMap>, LiveError> {
         let begin = Instant::now();
         let keys = keyframes(snapshot);
         let table = sub_table(&snapshot.table, &keys, MIN_TRACK);
@@ -179,9 +208,11 @@ impl Mapper {
             &mut |_| {},
         )?;
         let is_usable = model.images.len() as f64 >= MIN_REGISTERED * keys.len() as f64;
-        let Some(camera) = model.cameras.values().next().copied().filter(|_| is_usable) else { return Ok(None) };
+        let Some(camera) = model.cameras.values().next().copied().filter(|_| is_usable) else {
+            return Ok(Err(NoMap::Registration { registered: model.images.len(), keyframes: keys.len() }));
+        };
         if model.points.len() < MIN_POINTS {
-            return Ok(None);
+            return Ok(Err(NoMap::Points { found: model.points.len() }));
         }
         let is_continued = self.align(&mut model);
         (self.camera, self.revision) = (camera, self.revision + 1);
@@ -238,7 +269,7 @@ impl Mapper {
             map.models.extend(found.map(|model| (subject.object, model)));
         }
         (map.line.models, map.line.seconds) = (map.models.len(), begin.elapsed().as_secs_f64());
-        Ok(Some(map))
+        Ok(Ok(map))
     }
 
     /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.
@@ -423,6 +454,6 @@ mod tests {
         assert!(error < 0.02 * length, "{error} of {length}");
         assert!(maps[2].line.drift_std > 0.0 && maps[0].line.drift_std == 0.0);
         let far = mapper.update(&snapshot(&static_scene(&scene::Options { seed: 5, ..options }), 0..3)).unwrap();
-        assert!(far.is_none(), "three views are no map");
+        assert!(far.is_err(), "three views are no map");
     }
 }

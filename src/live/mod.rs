@@ -1,7 +1,7 @@
 //! Vehicles while the camera records: one pass through the frames of a recording that still grows.
 //!
-//! The newest frame is taken (`frames.rs`); vehicles are detected and followed (`perception.rs`), points of the
-//! background tracked (`window.rs`) by the objects that a run uses. A worker reconstructs the window of the last ten
+//! The newest frame is taken (`frames.rs`); vehicles are detected and followed on a thread (`perception.rs`), while
+//! points of the frame before are tracked on another (`window.rs`), by the objects that a run uses. A worker reconstructs the window of the last ten
 //! seconds with the batch mapper, in the frame of the maps before (`map.rs`). Between two maps every frame is
 //! registered by resection, and the lower edges of the masks give provisional positions on the local ground planes; a
 //! frame that leaves the window gets its final ones (`vehicles.rs`). What does not keep up is reduced in a fixed order
@@ -20,12 +20,15 @@ mod window;
 
 use std::io;
 use std::path::Path;
-use std::sync::Arc;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, channel, sync_channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
-pub use line::{CameraLine, EndLine, LengthUnit, Line, LoadLine, MapLine, PositionMethod, State, VehicleLine};
+pub use line::{
+    CameraLine, EndLine, LengthUnit, Line, LoadLine, MapLine, MotionState, NoMapLine, PositionMethod, State,
+    VehicleLine,
+};
 
 use crate::camera::Camera;
 use crate::features::FeatureError;
@@ -35,12 +38,11 @@ use crate::io::interchange::colmap;
 use crate::mapper::{Intrinsics, MapperError};
 use crate::networks::PerceptionError;
 use crate::pipeline::{IntrinsicsSource, Options};
-use crate::scene::Topic;
 use crate::video::{Source, VideoError};
-use frames::{Arrived, Newest, Next};
+use frames::Next;
 use load::Load;
-use map::{MIN_KEYS, Mapper, WorldMap};
-use perception::Perception;
+use map::{MIN_KEYS, Mapper, NoMap, WorldMap};
+use perception::{Perceived, PerceptionThread};
 use vehicles::Vehicles;
 use window::{Snapshot, Window};
 
@@ -52,6 +54,8 @@ const MAP_S: f64 = 1.0;
 const FINAL_EVERY_S: f64 = 3.0;
 /// Age at which a frame becomes final, seconds: at most ten after it, with those three.
 const FINAL_S: f64 = 6.5;
+/// Time without a map after which its absence is reported, seconds: a camera that moves has the first after two.
+const NO_MAP_S: f64 = 5.0;
 /// Longest wait for a frame before signals are looked at.
 const PATIENCE: Duration = Duration::from_millis(50);
 
@@ -96,54 +100,63 @@ pub struct Job<'a> {
     pub options: &'a Options,
 }
 
+/// Request to a live run from outside.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// Continue to the end of the source.
+    Continue,
+    /// End the recording here, and complete the results.
+    EndRecording,
+    /// End the recording here, without completing the results.
+    Stop,
+}
+
 /// Follows a recording to its end.
 ///
 /// * `sink` – takes each line at once.
-/// * `is_stopped` – asked between frames; true ends the recording here.
+/// * `order` – asked between frames.
 ///
 /// # Errors
 /// [`LiveError`]; the recording is not affected.
 pub fn run(
     job: &Job,
     sink: &mut dyn FnMut(&Line) -> io::Result<()>,
-    is_stopped: &dyn Fn() -> bool,
+    order: &dyn Fn() -> Order,
 ) -> Result<EndLine, LiveError> {
     let options = job.options;
-    let perception = Perception::new(options)?;
+    let load = Arc::<Mutex<Load>>::default();
+    let perception = PerceptionThread::start(options, &load)?;
     let source = Source::open_growing(job.recording, &options.video, job.growth.clone())?;
     let (camera, known) = camera(&source, options)?;
-    let newest = Newest::start(source.frames()?, job.is_paced)?;
+    perception.begin(source.frames()?, job.is_paced)?;
     let mut live = Live {
         options,
         sink,
-        perception,
         window: Window::new(camera),
         vehicles: Vehicles::default(),
-        load: Load::default(),
+        load,
         worker: Worker::start(Mapper::new(options, camera, known))?,
         map: None,
+        mapped_s: None,
+        no_map: None,
         final_s: f64::NEG_INFINITY,
         end: EndLine::default(),
         spent: [Duration::ZERO; 3],
     };
     loop {
-        if is_stopped() {
+        if order() != Order::Continue {
             job.growth.finish();
             break;
         }
-        match newest.take(PATIENCE) {
-            Next::Frame(arrived) => {
-                live.end.dropped = newest.num_dropped();
-                live.step(*arrived)?;
-            }
+        match perception.take(PATIENCE)? {
+            Next::Frame(perceived) => live.step(*perceived)?,
             Next::Nothing => live.take_map(Wait::No)?,
             Next::Over => break,
         }
-        if let Some(error) = newest.take_error() {
-            tracing::warn!("{}", Topic::FrameNotDecoded.warning(error.to_string()));
-        }
     }
-    live.finish(is_stopped)
+    // The thread of perception may wait to hand a frame over.
+    drop(perception);
+    live.finish(order)
 }
 
 /// The camera before it is estimated, and prior knowledge of it.
@@ -166,12 +179,15 @@ fn camera(source: &Source, options: &Options) -> Result<(Camera, Intrinsics), Li
 struct Live<'a> {
     options: &'a Options,
     sink: &'a mut dyn FnMut(&Line) -> io::Result<()>,
-    perception: Perception,
     window: Window,
     vehicles: Vehicles,
-    load: Load,
+    load: Arc<Mutex<Load>>,
     worker: Worker,
     map: Option<WorldMap>,
+    /// Time from which the absence of a map counts, seconds; infinite once it was reported.
+    mapped_s: Option<f64>,
+    /// Why the last window gave no map.
+    no_map: Option<NoMap>,
     /// Time of the last request of a map that makes frames final, seconds.
     final_s: f64,
     end: EndLine,
@@ -181,22 +197,15 @@ struct Live<'a> {
 
 impl Live<'_> {
     /// Processes a frame.
-    fn step(&mut self, arrived: Arrived) -> Result<(), LiveError> {
-        let Arrived { frame, picture, at } = arrived;
-        self.end.t = frame.time_s;
-        if self.load.skips() {
-            self.end.skipped += 1;
-            return self.note_load(frame.time_s, Duration::ZERO);
-        }
+    fn step(&mut self, perceived: Perceived) -> Result<(), LiveError> {
+        let Perceived { frame, picture, at, seen, masks, identities, background, busy, num_dropped, num_skipped } =
+            perceived;
         let begin = Instant::now();
+        self.end.t = frame.time_s;
+        (self.end.dropped, self.end.skipped) = (num_dropped, num_skipped);
         self.take_map(Wait::No)?;
-        let seen = self.perception.push(&frame, &picture, self.load.periods_s())?;
-        self.vehicles.push(&frame, at, seen, self.perception.identities());
-        self.vehicles.track_points(&frame, &picture, self.perception.masks(), self.window.camera())?;
-        let perceived = Instant::now();
-        let longer_px = f64::from(picture.width().max(picture.height()));
-        let dilation_px = (self.options.masking.dilation * longer_px).round() as u32;
-        let background = self.perception.background(picture.dimensions(), dilation_px);
+        self.vehicles.push(&frame, at, seen, identities);
+        self.vehicles.track_points(&frame, &picture, &masks, self.window.camera())?;
         self.window.push(&frame, &picture, &background)?;
         let image = self.map.as_ref().and_then(|map| self.window.register(map));
         let tracked = Instant::now();
@@ -209,16 +218,38 @@ impl Live<'_> {
         let lines = self.vehicles.provisional(self.map.as_ref(), image, self.options);
         self.write(lines)?;
         self.request_map(frame.time_s);
+        self.note_absence(frame.time_s)?;
         let done = Instant::now();
-        let parts = [perceived - begin, tracked - perceived, done - tracked];
+        let parts = [busy, tracked - begin, done - tracked];
         self.spent.iter_mut().zip(parts).for_each(|(sum, part)| *sum += part);
-        self.note_load(frame.time_s, done - begin)
+        self.note_load(frame.time_s, busy.max(done - begin))
     }
 
     fn note_load(&mut self, time_s: f64, busy: Duration) -> Result<(), LiveError> {
-        let Some(reason) = self.load.note(time_s, busy.as_secs_f64(), self.end.dropped) else { return Ok(()) };
-        let (level, reductions, dropped) = (self.load.level(), self.load.reductions(), self.end.dropped);
+        let dropped = self.end.dropped;
+        let mut load = self.load();
+        let Some(reason) = load.note(time_s, busy.as_secs_f64(), dropped) else { return Ok(()) };
+        let (level, reductions) = (load.level(), load.reductions());
+        drop(load);
         self.send(Line::Load(LoadLine { t: time_s, level, reductions, reason, dropped }))
+    }
+
+    fn load(&self) -> MutexGuard<'_, Load> {
+        self.load.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Reports once why there has been no map for a while.
+    fn note_absence(&mut self, time_s: f64) -> Result<(), LiveError> {
+        let since_s = *self.mapped_s.get_or_insert(time_s);
+        if time_s - since_s < NO_MAP_S {
+            return Ok(());
+        }
+        self.mapped_s = Some(f64::INFINITY);
+        let keyframes = self.window.num_keys();
+        let too_few = NoMap::Keyframes { found: keyframes };
+        let why = if keyframes < MIN_KEYS { Some(too_few) } else { self.no_map };
+        let Some(why) = why else { return Ok(()) };
+        self.send(Line::NoMap(NoMapLine { t: time_s, reason: why.to_string() }))
     }
 
     fn snapshot(&self, purpose: Purpose) -> Snapshot {
@@ -244,7 +275,15 @@ impl Live<'_> {
 
     /// Takes the map that was requested, if there is one.
     fn take_map(&mut self, wait: Wait) -> Result<(), LiveError> {
-        let Some(map) = self.worker.poll(wait)? else { return Ok(()) };
+        let map = match self.worker.poll(wait)? {
+            None => return Ok(()),
+            Some(Err(why)) => {
+                self.no_map = Some(why);
+                return Ok(());
+            }
+            Some(Ok(map)) => map,
+        };
+        (self.mapped_s, self.no_map) = (Some(self.end.t), None);
         self.window.take_poses(&map);
         let (frames, lines) = self.vehicles.take_map(&map, self.options);
         self.end.maps += 1;
@@ -267,9 +306,9 @@ impl Live<'_> {
         (self.sink)(&line).map_err(LiveError::Sink)
     }
 
-    /// Makes the last map, unless a signal asks to end, and says what was done.
-    fn finish(mut self, is_stopped: &dyn Fn() -> bool) -> Result<EndLine, LiveError> {
-        if !is_stopped() {
+    /// Makes the last map, unless the run is to stop, and sums up.
+    fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, LiveError> {
+        if order() != Order::Stop {
             self.take_map(Wait::Yes)?;
             if self.window.num_keys() >= MIN_KEYS {
                 self.worker.request(self.snapshot(Purpose::Last));
@@ -304,7 +343,7 @@ enum Purpose {
 /// The thread that makes maps, one at a time.
 struct Worker {
     jobs: SyncSender<Snapshot>,
-    maps: Receiver<Result<Option<WorldMap>, LiveError>>,
+    maps: Receiver<Result<Result<WorldMap, NoMap>, LiveError>>,
     is_busy: bool,
 }
 
@@ -330,8 +369,8 @@ impl Worker {
         self.is_busy = self.jobs.try_send(snapshot).is_ok();
     }
 
-    /// The map that was requested; `None` where it is not finished or there is none.
-    fn poll(&mut self, wait: Wait) -> Result<Option<WorldMap>, LiveError> {
+    /// The map that was requested; `None` where it is not finished.
+    fn poll(&mut self, wait: Wait) -> Result<Option<Result<WorldMap, NoMap>>, LiveError> {
         if !self.is_busy {
             return Ok(None);
         }
@@ -344,7 +383,7 @@ impl Worker {
             Err(TryRecvError::Disconnected) => Err(LiveError::Thread(io::Error::other("the mapper has ended"))),
             Ok(map) => {
                 self.is_busy = false;
-                map
+                map.map(Some)
             }
         }
     }

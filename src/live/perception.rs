@@ -1,10 +1,20 @@
-//! Vehicles in the image: detector, masks, optical flow and tracker, one frame at a time.
+//! Vehicles in the image: detector, masks, optical flow and tracker, one frame at a time, on a thread of their own.
+//!
+//! The thread is one frame ahead of points and positions. It hands a frame over when they are free (a channel without
+//! buffer), so that frames are dropped in one place only, in front of it.
 
 use std::collections::BTreeMap;
+use std::io;
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::thread;
+use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::LiveError;
+use super::frames::{Arrived, Newest, Next};
+use super::load::Load;
+use super::{LiveError, PATIENCE};
 use crate::ffi::onnx::Resources;
 use crate::memory::MemoryLimit;
 use crate::networks::{
@@ -12,9 +22,10 @@ use crate::networks::{
     load_small_box_segmenter,
 };
 use crate::pipeline::{DetectorChoice, MaskChoice, Options};
-use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect};
-use crate::tracking::{BoxSource, FrameInput, TrackedMask, Tracker};
+use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect, Topic};
+use crate::tracking::{BoxSource, ConfirmedObject, FrameInput, Predecessor, TrackedMask, Tracker};
 use crate::trajectory::Silhouette;
+use crate::video::Frames;
 
 /// Object that is followed.
 #[derive(Clone, Debug)]
@@ -22,6 +33,8 @@ pub(super) struct Identity {
     pub(super) id: ObjectId,
     pub(super) class: String,
     pub(super) confidence: f64,
+    /// The object that was lost where this one came up.
+    pub(super) after: Option<Predecessor>,
 }
 
 /// Mask of an object in a frame, as its outline.
@@ -40,8 +53,129 @@ impl Outlined {
     }
 }
 
+/// A frame whose vehicles are known.
+pub(super) struct Perceived {
+    pub(super) frame: Frame,
+    pub(super) picture: RgbImage,
+    /// When it was decoded.
+    pub(super) at: Instant,
+    /// Masks of this frame, and better ones of frames before.
+    pub(super) seen: Vec<Outlined>,
+    pub(super) masks: Vec<TrackedMask>,
+    pub(super) identities: BTreeMap<ObjectId, Identity>,
+    /// The pixels that show background.
+    pub(super) background: Mask,
+    /// Duration of perception.
+    pub(super) busy: Duration,
+    /// Frames dropped and skipped so far.
+    pub(super) num_dropped: u64,
+    pub(super) num_skipped: u64,
+}
+
+/// The thread of perception.
+pub(super) struct PerceptionThread {
+    frames: Sender<(Frames, bool)>,
+    perceived: Receiver<Result<Box<Perceived>, LiveError>>,
+}
+
+impl PerceptionThread {
+    /// Starts it and loads the networks there.
+    ///
+    /// * `load` – decides what is done in a frame; the thread ends when its owner has dropped it.
+    ///
+    /// # Errors
+    /// [`LiveError::Perception`] where a network is missing, [`LiveError::Thread`].
+    pub(super) fn start(options: &Options, load: &Arc<Mutex<Load>>) -> Result<Self, LiveError> {
+        let (frames, source) = channel();
+        let (sender, perceived) = sync_channel(0);
+        let (ready, loaded) = channel();
+        let (options, load) = (options.clone(), Arc::downgrade(load));
+        let work = move || match Perception::new(&options) {
+            Err(error) => drop(ready.send(Err(error))),
+            Ok(perception) => {
+                drop(ready.send(Ok(())));
+                if let Ok((frames, is_paced)) = source.recv() {
+                    perceive(perception, frames, is_paced, &load, &sender);
+                }
+            }
+        };
+        thread::Builder::new().name("perception".into()).spawn(work).map_err(LiveError::Thread)?;
+        loaded.recv().map_err(|_| ended())??;
+        Ok(Self { frames, perceived })
+    }
+
+    /// Begins with the frames of a video.
+    ///
+    /// * `is_paced` – true if frames come at the pace of their time stamps.
+    ///
+    /// # Errors
+    /// [`LiveError::Thread`].
+    pub(super) fn begin(&self, frames: Frames, is_paced: bool) -> Result<(), LiveError> {
+        self.frames.send((frames, is_paced)).map_err(|_| ended())
+    }
+
+    /// Takes the next frame; waits for one up to `patience`.
+    ///
+    /// # Errors
+    /// Those of the thread, which ends with the first.
+    pub(super) fn take(&self, patience: Duration) -> Result<Next<Box<Perceived>>, LiveError> {
+        match self.perceived.recv_timeout(patience) {
+            Ok(perceived) => perceived.map(Next::Frame),
+            Err(RecvTimeoutError::Timeout) => Ok(Next::Nothing),
+            Err(RecvTimeoutError::Disconnected) => Ok(Next::Over),
+        }
+    }
+}
+
+fn ended() -> LiveError {
+    LiveError::Thread(io::Error::other("perception has ended"))
+}
+
+/// Processes frames until there are no more, or nobody takes them.
+fn perceive(
+    mut perception: Perception,
+    frames: Frames,
+    is_paced: bool,
+    load: &Weak<Mutex<Load>>,
+    sender: &SyncSender<Result<Box<Perceived>, LiveError>>,
+) {
+    let newest = match Newest::start(frames, is_paced) {
+        Ok(newest) => newest,
+        Err(error) => return drop(sender.send(Err(error))),
+    };
+    let mut num_skipped = 0;
+    loop {
+        let next = newest.take(PATIENCE);
+        if let Some(error) = newest.take_error() {
+            tracing::warn!("{}", Topic::FrameNotDecoded.warning(error.to_string()));
+        }
+        let Some(load) = load.upgrade() else { return };
+        let arrived = match next {
+            Next::Frame(arrived) => *arrived,
+            Next::Nothing => continue,
+            Next::Over => return,
+        };
+        let periods_s = {
+            let mut load = load.lock().unwrap_or_else(PoisonError::into_inner);
+            if load.skips() {
+                num_skipped += 1;
+                continue;
+            }
+            load.periods_s()
+        };
+        // The owner must be the only one that keeps it while this thread waits to hand the frame over.
+        drop(load);
+        let found = perception.perceive(arrived, periods_s);
+        let found = found.map(|found| Box::new(Perceived { num_dropped: newest.num_dropped(), num_skipped, ..found }));
+        let is_over = found.is_err();
+        if sender.send(found).is_err() || is_over {
+            return;
+        }
+    }
+}
+
 /// Finds and follows vehicles.
-pub(super) struct Perception {
+struct Perception {
     detector: Option<Box<dyn Detector>>,
     segmenter: Box<dyn BoxSegmenter>,
     flow: Box<dyn FlowEstimator>,
@@ -53,6 +187,8 @@ pub(super) struct Perception {
     masks: Vec<TrackedMask>,
     /// Times of the last looks of the detector and of the mask network, seconds.
     looked_s: [f64; 2],
+    /// Margin of vehicles in the background, as a share of the longer side.
+    dilation: f64,
 }
 
 /// Part of the time between two looks by which one may come early: time stamps are rounded.
@@ -63,7 +199,7 @@ impl Perception {
     ///
     /// # Errors
     /// [`LiveError::Perception`] where a network is missing: nothing else detects vehicles here.
-    pub(super) fn new(options: &Options) -> Result<Self, LiveError> {
+    fn new(options: &Options) -> Result<Self, LiveError> {
         let memory = options.memory_limit.unwrap_or_else(MemoryLimit::of_machine);
         let resources = Resources { num_threads: options.threads.unwrap_or(0), memory, provider: options.provider };
         let detector = match &options.vehicles.detector {
@@ -88,18 +224,30 @@ impl Perception {
             boxes: Vec::new(),
             masks: Vec::new(),
             looked_s: [f64::NEG_INFINITY; 2],
+            dilation: options.masking.dilation,
         })
+    }
+
+    /// Takes the next frame.
+    ///
+    /// * `periods_s` – time between looks of the detector, and of the mask network, seconds.
+    fn perceive(&mut self, arrived: Arrived, periods_s: [f64; 2]) -> Result<Perceived, LiveError> {
+        let begin = Instant::now();
+        let Arrived { frame, picture, at } = arrived;
+        let seen = self.push(&frame, &picture, periods_s)?;
+        let longer_px = f64::from(picture.width().max(picture.height()));
+        let dilation_px = (self.dilation * longer_px).round() as u32;
+        let background = self.background(picture.dimensions(), dilation_px);
+        let (masks, identities) = (std::mem::take(&mut self.masks), self.identities());
+        let (num_dropped, num_skipped) = (0, 0);
+        let busy = begin.elapsed();
+        Ok(Perceived { frame, picture, at, seen, masks, identities, background, busy, num_dropped, num_skipped })
     }
 
     /// Takes the next frame; gives the masks of its objects, and better ones of frames before.
     ///
     /// * `periods_s` – time between looks of the detector, and of the mask network, seconds.
-    pub(super) fn push(
-        &mut self,
-        frame: &Frame,
-        picture: &RgbImage,
-        periods_s: [f64; 2],
-    ) -> Result<Vec<Outlined>, LiveError> {
+    fn push(&mut self, frame: &Frame, picture: &RgbImage, periods_s: [f64; 2]) -> Result<Vec<Outlined>, LiveError> {
         let is_due = |k: usize| frame.time_s - self.looked_s[k] >= (1.0 - EARLY) * periods_s[k];
         let [detects, segments] = [is_due(0), is_due(1)];
         let flow = match &self.previous {
@@ -129,13 +277,8 @@ impl Perception {
         Ok(new.chain(corrected).collect())
     }
 
-    /// Masks of the last frame.
-    pub(super) fn masks(&self) -> &[TrackedMask] {
-        &self.masks
-    }
-
     /// The pixels that show background: neither near the detector's last boxes nor near what is followed.
-    pub(super) fn background(&self, (width, height): (u32, u32), dilation_px: u32) -> Mask {
+    fn background(&self, (width, height): (u32, u32), dilation_px: u32) -> Mask {
         let mut mask = Mask::full(width, height);
         let margin = f64::from(dilation_px);
         for rect in self.boxes.iter().map(|found| found.rect).chain(self.tracker.places()) {
@@ -153,10 +296,10 @@ impl Perception {
     }
 
     /// Confirmed objects by their provisional ids.
-    pub(super) fn identities(&self) -> BTreeMap<ObjectId, Identity> {
-        let identity = |found: crate::tracking::ConfirmedObject<'_>| {
-            let (id, class, confidence) = (found.id, found.class.to_owned(), found.confidence);
-            (found.provisional, Identity { id, class, confidence })
+    fn identities(&self) -> BTreeMap<ObjectId, Identity> {
+        let identity = |found: ConfirmedObject<'_>| {
+            let ConfirmedObject { id, confidence, after, .. } = found;
+            (found.provisional, Identity { id, class: found.class.to_owned(), confidence, after })
         };
         self.tracker.confirmed().map(identity).collect()
     }

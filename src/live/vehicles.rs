@@ -5,28 +5,41 @@ use std::collections::BTreeMap;
 use std::time::Instant;
 
 use ::image::RgbImage;
-use nalgebra::{Matrix3, Point3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::LiveError;
-use super::line::{LengthUnit, PositionMethod, State, VehicleLine};
+use super::line::{LengthUnit, MotionState, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
 use super::models::{Model, Subject};
 use super::perception::{Identity, Outlined};
 use super::{FINAL_S, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
+use crate::math::median;
 use crate::metric::in_metres;
 use crate::pipeline::Options;
 use crate::scene::{
-    Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, Reconstruction, Rect,
+    ContactError, Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId,
+    Reconstruction, Rect,
 };
 use crate::tracking::TrackedMask;
+use crate::tracking::merging::{Pair, same};
 use crate::trajectory::{
     CommonStd, ContactEvidence, Contacts, Outlines, PositionError, PositionMeasurement, contacts, smooth,
 };
 
 /// Time of the positions before a provisional one that its velocity rests on, seconds.
 const PAST_S: f64 = 3.0;
+/// Time between two of them at least, seconds: errors of contact points are alike in neighboring frames, and the time
+/// of smoothing grows with their number.
+const PAST_STEP_S: f64 = 0.28;
+/// Speed of a walking person, m/s: a vehicle in traffic that is slower is stationary.
+const WALKING_M_S: f64 = 1.4;
+/// Standard deviations by which the speed of a stationary vehicle is below that.
+const RESTS: f64 = 2.0;
+/// Frames nearby whose offset from the contact point to the center of the model is averaged: a second at 10 Hz, in
+/// which the direction of sight hardly changes.
+const NUM_OFFSETS: usize = 10;
 /// Standard deviations from zero beyond which a speed has a direction.
 const MOVES: f64 = 3.0;
 /// Views of a vehicle's tracks at which those outside the window are dropped.
@@ -41,8 +54,21 @@ struct Vehicle {
     rects: BTreeMap<FrameId, Rect>,
     /// In the frame of the last map.
     positions: BTreeMap<FrameId, GroundPosition>,
+    /// From the contact point to the center of the model: along the horizontal line of sight, to the left of it and up,
+    /// in the local frame.
+    offsets: BTreeMap<FrameId, Offset>,
     /// Tracks of its points.
     points: Option<VideoFrontEnd>,
+    /// Id of the lost vehicle that it is; decided when it is confirmed.
+    merged: Option<ObjectId>,
+}
+
+/// Offset of the center of a model from the contact point.
+#[derive(Clone, Copy)]
+struct Offset {
+    time_s: f64,
+    vector: Vector3<f64>,
+    log_ratio_std: f64,
 }
 
 /// All vehicles of the window.
@@ -79,10 +105,28 @@ impl Vehicles {
                 None => drop(outlines.remove(&frame)),
             }
         }
-        for (object, vehicle) in &mut self.vehicles {
-            vehicle.identity = identities.remove(object).or(vehicle.identity.take());
+        let objects: Vec<ObjectId> = self.vehicles.keys().copied().collect();
+        for object in objects {
+            let Some(identity) = identities.remove(&object) else { continue };
+            let is_new = self.vehicles.get(&object).is_some_and(|vehicle| vehicle.identity.is_none());
+            let merged = if is_new { self.continued(object, &identity) } else { None };
+            let Some(vehicle) = self.vehicles.get_mut(&object) else { continue };
+            vehicle.merged = vehicle.merged.or(merged);
+            vehicle.identity = Some(Identity { id: vehicle.merged.unwrap_or(identity.id), ..identity });
         }
         self.forget(frame.time_s - WINDOW_S - SPARE_S);
+    }
+
+    /// Id of the lost vehicle that a new one continues, by the rules by which a run merges tracks.
+    fn continued(&self, object: ObjectId, identity: &Identity) -> Option<ObjectId> {
+        let after = identity.after?;
+        let lost = self.vehicles.get(&after.provisional)?;
+        let time_s = |frame: &FrameId| self.frames.get(frame).map(|frame| frame.time_s);
+        let first_s = time_s(self.vehicles.get(&object)?.rects.keys().next()?)?;
+        let gap_s =
+            first_s - time_s(lost.rects.keys().rev().find(|frame| time_s(frame).is_some_and(|s| s < first_s))?)?;
+        let pair = Pair { before: 0, after: 1, gap_s, evidence: after.evidence };
+        same(&pair).ok().and(lost.identity.as_ref()).map(|lost| lost.id)
     }
 
     /// Tracks points of the vehicles inside their masks.
@@ -95,7 +139,7 @@ impl Vehicles {
     ) -> Result<(), LiveError> {
         for TrackedMask { object, mask, .. } in masks {
             let Some(vehicle) = self.vehicles.get_mut(object) else { continue };
-            let new = || VideoFrontEnd::new(VideoOptions::object(), camera);
+            let new = || VideoFrontEnd::new(VideoOptions::object(), camera).only_across_breaks();
             let points = vehicle.points.get_or_insert_with(new);
             points.push(frame, picture, mask)?;
             if points.table().views.len() >= MAX_VIEWS {
@@ -127,6 +171,7 @@ impl Vehicles {
         for vehicle in self.vehicles.values_mut() {
             vehicle.rects = vehicle.rects.split_off(&first);
             vehicle.positions = vehicle.positions.split_off(&first);
+            vehicle.offsets = vehicle.offsets.split_off(&first);
         }
         self.vehicles.retain(|_, vehicle| !vehicle.rects.is_empty());
         for outlines in self.outlines.values_mut() {
@@ -160,10 +205,7 @@ impl Vehicles {
             vehicle.positions.extend(position.map(|position| (frame.id, position)));
             let Some(&rect) = vehicle.rects.get(&frame.id) else { continue };
             let reason = contacts.omitted.keys().next().copied();
-            let motion = map.and_then(|map| {
-                let past = vehicle.positions.values().filter(|position| frame.time_s - position.time_s <= PAST_S);
-                motions(map, past).remove(&frame.id)
-            });
+            let motion = map.and_then(|map| motions(map, vehicle.past(frame.time_s).into_iter()).remove(&frame.id));
             let decoded = self.decoded.get(&frame.id).copied();
             lines.extend(vehicle.line(&frame, rect, map, reason, motion, decoded));
         }
@@ -194,9 +236,13 @@ impl Vehicles {
             let Some(vehicle) = self.vehicles.get_mut(&id) else { continue };
             if !map.is_continued {
                 vehicle.positions.clear();
+                vehicle.offsets.clear();
             }
             vehicle.positions.extend(contacts.positions.into_iter().map(|position| (position.frame, position)));
             let model = map.models.get(&id);
+            if let Some(model) = model {
+                vehicle.offsets = offsets(map, model, &vehicle.positions);
+            }
             let by_contact = motions(map, vehicle.positions.values());
             let by_model = model.map(|model| model_motions(map, model)).unwrap_or_default();
             for frame in &leaving {
@@ -240,6 +286,43 @@ impl Vehicles {
 }
 
 impl Vehicle {
+    /// Positions up to the last one that its velocity rests on.
+    fn past(&self, now_s: f64) -> Vec<&GroundPosition> {
+        let mut next_s = f64::INFINITY;
+        let chosen = self.positions.values().rev().take_while(|position| now_s - position.time_s <= PAST_S);
+        let chosen = chosen.filter(|position| {
+            let is_due = position.time_s <= next_s;
+            if is_due {
+                next_s = position.time_s - PAST_STEP_S;
+            }
+            is_due
+        });
+        let mut chosen: Vec<&GroundPosition> = chosen.collect();
+        chosen.reverse();
+        chosen
+    }
+
+    /// The center of the vehicle in a frame without its model, by the contact point and the offset in frames nearby;
+    /// `None` where no model was made.
+    fn corrected(&self, map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 6])> {
+        let mut near: Vec<&Offset> = self.offsets.values().collect();
+        near.sort_by(|a, b| (a.time_s - position.time_s).abs().total_cmp(&(b.time_s - position.time_s).abs()));
+        near.truncate(NUM_OFFSETS);
+        let of_axis = |axis: usize| median(near.iter().map(|offset| offset.vector[axis]).collect());
+        let offset = Vector3::new(of_axis(0)?, of_axis(1)?, of_axis(2)?);
+        let metric_from_world = map.frame.metric_from_world();
+        let contact = metric_from_world * Point3::from(position.position);
+        let axes = sight_axes(&(contact - metric_from_world * center(map, position.frame)?))?;
+        // What contact points and model have in common is in the offset.
+        let error = ContactError { common: [0.0; 3], ..position.error };
+        let moved = metric_from_world.inverse() * (contact + axes * offset);
+        let log_ratio_std = near.iter().map(|offset| offset.log_ratio_std).fold(0.0, f64::max);
+        let (found, mut upper) = placed_at(map, position.frame, moved, &error.covariance(), log_ratio_std)?;
+        let spread = near.iter().map(|near| (near.vector - offset).norm_squared()).sum::<f64>() / near.len() as f64;
+        [0, 3, 5].into_iter().for_each(|diagonal| upper[diagonal] += spread / 3.0);
+        Some((found, upper))
+    }
+
     /// The line of a confirmed vehicle.
     fn line(
         &self,
@@ -250,8 +333,12 @@ impl Vehicle {
         motion: Option<Motion>,
         decoded: Option<Instant>,
     ) -> Option<VehicleLine> {
-        let Identity { id, class, confidence } = self.identity.clone()?;
-        let placed = map.and_then(|map| self.positions.get(&frame.id).and_then(|position| placed(map, position)));
+        let Identity { id, class, confidence, .. } = self.identity.clone()?;
+        let contact = map.and_then(|map| Some((map, self.positions.get(&frame.id)?)));
+        let corrected = contact.and_then(|(map, position)| self.corrected(map, position));
+        let corrected = corrected.map(|found| (found, PositionMethod::CorrectedContact));
+        let by_contact = || contact.and_then(|(map, position)| placed(map, position));
+        let placed = corrected.or_else(|| Some((by_contact()?, PositionMethod::GroundContact)));
         let moves = motion.filter(|motion| motion.speed_m_s.abs() > MOVES * motion.speed_std_m_s);
         let heading = moves.and_then(|motion| motion.heading_deg);
         let velocity = motion.map(|motion| {
@@ -273,6 +360,7 @@ impl Vehicle {
             reason: Some(reason.unwrap_or(NoContact::NoCamera)),
             position: None,
             covariance: None,
+            motion: motion.and_then(|motion| motion_state(&motion, is_metric)),
             velocity: velocity.map(|velocity| velocity.map(rounded)),
             speed_std: motion.map(|motion| rounded(motion.speed_std_m_s)),
             heading_deg: heading.map(rounded),
@@ -280,7 +368,7 @@ impl Vehicle {
             lag_s: decoded.map_or(0.0, |decoded| rounded(decoded.elapsed().as_secs_f64())),
         };
         Some(match placed {
-            Some(found) => line.at(found, PositionMethod::GroundContact),
+            Some((found, method)) => line.at(found, method),
             None => line,
         })
     }
@@ -292,6 +380,36 @@ impl VehicleLine {
         let (position, covariance) = (Some(position.map(rounded)), Some(covariance));
         Self { position, covariance, method: Some(method), reason: None, ..self }
     }
+}
+
+/// Motion state by a speed and its standard deviation; a speed in no known unit cannot show rest.
+fn motion_state(motion: &Motion, is_metric: bool) -> Option<MotionState> {
+    let (speed, std) = (motion.speed_m_s.abs(), motion.speed_std_m_s);
+    let rests = is_metric && speed + RESTS * std < WALKING_M_S;
+    let moves = speed > MOVES * std;
+    match (rests, moves) {
+        (true, _) => Some(MotionState::Stationary),
+        (false, true) => Some(MotionState::Moving),
+        (false, false) => None,
+    }
+}
+
+/// Offsets from the contact points to the centers of a model, in the frames that have both.
+fn offsets(map: &WorldMap, model: &Model, positions: &BTreeMap<FrameId, GroundPosition>) -> BTreeMap<FrameId, Offset> {
+    let metric_from_world = map.frame.metric_from_world();
+    let offset = |(&frame, position): (&FrameId, &GroundPosition)| {
+        let contact = metric_from_world * Point3::from(position.position);
+        let axes = sight_axes(&(contact - metric_from_world * center(map, frame)?))?;
+        let vector = axes.transpose() * (metric_from_world * model.position(frame)? - contact);
+        Some((frame, Offset { time_s: position.time_s, vector, log_ratio_std: model.log_ratio_std() }))
+    };
+    positions.iter().filter_map(offset).collect()
+}
+
+/// The horizontal direction of a line of sight, that to the left of it, and up; `None` for a vertical one.
+fn sight_axes(sight: &Vector3<f64>) -> Option<Matrix3<f64>> {
+    let ahead = Vector3::new(sight.x, sight.y, 0.0).try_normalize(1e-9)?;
+    Some(Matrix3::from_columns(&[ahead, Vector3::new(-ahead.y, ahead.x, 0.0), Vector3::z()]))
 }
 
 /// Four digits after the point: a tenth of a millimeter.

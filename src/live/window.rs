@@ -72,7 +72,7 @@ pub(super) struct Window {
 impl Window {
     pub(super) fn new(camera: Camera) -> Self {
         let options = VideoOptions { max_points: MAX_POINTS, ..VideoOptions::background() };
-        let front_end = VideoFrontEnd::new(options, camera);
+        let front_end = VideoFrontEnd::new(options, camera).only_across_breaks();
         Self { front_end, camera, frames: Vec::new(), is_key: Vec::new(), poses: BTreeMap::new() }
     }
 

@@ -169,6 +169,8 @@ pub struct ConfirmedObject<'a> {
     pub class: &'a str,
     /// Mean confidence of its detections, 0 to 1.
     pub confidence: f64,
+    /// The object that was lost where this one came up, if it may be the same.
+    pub after: Option<Predecessor>,
 }
 
 /// Summary of an object over all frames.

@@ -464,7 +464,8 @@ impl Track {
     /// The object of a confirmed track; `None` for any other.
     pub(super) fn confirmed(&self) -> Option<ConfirmedObject<'_>> {
         let confidence = self.sum_confidence / self.num_detected as f64;
-        Some(ConfirmedObject { id: self.id?, provisional: self.provisional, class: self.class(), confidence })
+        let (id, provisional, class) = (self.id?, self.provisional, self.class());
+        Some(ConfirmedObject { id, provisional, class, confidence, after: self.after })
     }
 
     /// The result for a confirmed track; `None` for any other.

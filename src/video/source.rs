@@ -409,7 +409,7 @@ mod tests {
             let mut file = fs::OpenOptions::new().append(true).open(target).unwrap();
             for piece in rest.chunks(500) {
                 std::io::Write::write_all(&mut file, piece).unwrap();
-                growth.grow();
+                assert!(growth.grow(|| Ok(())).unwrap());
             }
             growth.finish();
         });

@@ -65,6 +65,7 @@ pub struct Memory {
     patch_radius: i32,
     matching: MatchOptions,
     skip_tied: bool,
+    only_across_breaks: bool,
     keys: Vec<Keyframe>,
     last: Option<Last>,
     /// The view that was tied to a place long ago last.
@@ -83,12 +84,18 @@ impl Memory {
             patch_radius: options.patch_radius_px,
             matching: options.matching,
             skip_tied: options.skip_tied_keyframes,
+            only_across_breaks: false,
             keys: Vec::new(),
             last: None,
             tied_at: None,
             apart_since: None,
             described: None,
         }
+    }
+
+    /// Re-detects only where the link to the view before is broken, and without synthesized views.
+    pub fn only_across_breaks(self) -> Self {
+        Self { only_across_breaks: true, ..self }
     }
 
     /// Forgets all views, whose numbers change.
@@ -113,7 +120,8 @@ impl Memory {
             self.apart_since = Some(view);
         }
         let is_broken = self.is_broken(&alive);
-        if !is_broken && !self.is_weak(&alive) && !self.is_due(view, &alive) {
+        let is_wanted = || !self.only_across_breaks && (self.is_weak(&alive) || self.is_due(view, &alive));
+        if !is_broken && !is_wanted() {
             return Ok(Vec::new());
         }
         if let Some(last) = self.last.take().filter(|last| is_broken && !self.is_key(last.view)) {
@@ -122,7 +130,7 @@ impl Memory {
         let mut looks = AffineViews::new(gray, mask)?;
         let chosen = self.chosen(view, &looks.plain.features, &alive);
         let mut found = self.points_of(&chosen, &self.now(&looks, gray, mask), &alive);
-        if found.is_empty() && (is_broken || self.apart_since.is_some()) {
+        if !self.only_across_breaks && found.is_empty() && (is_broken || self.apart_since.is_some()) {
             let chosen = self.chosen_to_tilt(view, &alive);
             self.tilt(&chosen, &mut looks)?;
             found = self.points_of(&chosen, &self.now(&looks, gray, mask), &alive);

@@ -164,6 +164,13 @@ impl VideoFrontEnd {
         Self { options, previous: None, extent: None, reach, shift: None, live, memory, table }
     }
 
+    /// Re-detects lost points only where hardly any point of the view before is tracked, and without synthesized views:
+    /// for live video, where SIFT of every keyframe takes as long as all other work in a frame.
+    pub fn only_across_breaks(mut self) -> Self {
+        self.memory = self.memory.only_across_breaks();
+        self
+    }
+
     /// Adds the next frame, looking only where the mask is set.
     ///
     /// # Errors
