@@ -3,7 +3,7 @@
 mod common;
 
 use std::fs;
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
@@ -681,4 +681,49 @@ fn a_live_video_is_recorded_and_its_lines_are_whole() {
     }
     let (code, _, said) = outcome(&mut live("nowhere.ts", &place.path().join("none")));
     assert!(code == 1 && said.contains("nowhere.ts"), "{said}");
+}
+
+#[test]
+fn a_signal_ends_a_live_recording_and_its_run_follows() {
+    use rustix::process::{Pid, Signal, kill_process};
+    let place = TempDir::new().unwrap();
+    let video = fs::read(clip(place.path(), 30)).unwrap();
+    // Without and with a final run; the recording must not grow after the signal.
+    for (name, more) in [("recorded", Some("--no-final-run")), ("run", None)] {
+        let out = place.path().join(name);
+        let mut command = std::process::Command::new("env");
+        command.arg("--default-signal=TERM").arg(assert_cmd::cargo::cargo_bin("tractrix")).args(["live", "-"]);
+        command.args(["--detector", "none", "--mask-network", "none", "--output"]).arg(&out).args(more);
+        command.stdin(Stdio::piped()).stdout(Stdio::null());
+        let mut child = command.stderr(Stdio::piped()).spawn().unwrap();
+        let mut input = child.stdin.take().unwrap();
+        input.write_all(&video).unwrap();
+        let lines = out.join("live.jsonl");
+        let begun = std::time::Instant::now();
+        while fs::metadata(out.join("recording.avi")).map_or(0, |found| found.len()) < video.len() as u64
+            || !lines.exists()
+        {
+            assert!(begun.elapsed().as_secs() < 60, "nothing is recorded");
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+        // The signal counts as the end of the recording once frames are processed.
+        std::thread::sleep(std::time::Duration::from_millis(500));
+        kill_process(Pid::from_child(&child), Signal::TERM).unwrap();
+        while !fs::read_to_string(&lines).unwrap().contains("\"kind\":\"end\"") {
+            assert!(begun.elapsed().as_secs() < 60, "the recording does not end");
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+        // Fails or blocks nobody: the program takes nothing more.
+        let _ = input.write_all(&video);
+        drop(input);
+        let ended = child.wait_with_output().unwrap();
+        let said = String::from_utf8_lossy(&ended.stderr);
+        assert!(said.contains("recording ended by a signal"), "{said}");
+        assert_eq!(fs::read(out.join("recording.avi")).unwrap(), video, "{name}");
+        match more {
+            Some(_) => assert_eq!(ended.status.code(), Some(0), "{said}"),
+            // A clip of noise has no background: the run tells so, in its report.
+            None => assert!(out.join("run.json").exists(), "{said}"),
+        }
+    }
 }

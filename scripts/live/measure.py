@@ -46,6 +46,19 @@ def rss_mib(pid: int) -> float:
     return float(lines[0][1]) / 1024 if lines else 0.0
 
 
+def thread_cpu_s(pid: int) -> dict[str, float]:
+    """Processor time of the threads of a process, by name."""
+    spent: dict[str, float] = {}
+    for stat in Path(f"/proc/{pid}/task").glob("*/stat"):
+        try:
+            name, rest = stat.read_text().split("(", 1)[1].rsplit(")", 1)
+        except OSError:
+            continue
+        user, system = rest.split()[11:13]
+        spent[name] = spent.get(name, 0.0) + (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
+    return spent
+
+
 class Live:
     """A run of `tractrix live` on a pipe."""
 
@@ -56,6 +69,7 @@ class Live:
         self.program = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE)
         self.begin: float | None = None
         self.memory: list[tuple[float, float]] = []
+        self.threads: dict[str, float] = {}
         self.lines: list[tuple[float, dict[str, Any]]] = []
         threads = [threading.Thread(target=self.relay, args=(source,)), threading.Thread(target=self.watch)]
         for thread in threads:
@@ -82,8 +96,11 @@ class Live:
             source.kill()
 
     def watch(self) -> None:
-        """Samples the memory once a second."""
+        """Samples memory and processor time once a second."""
         while self.program.returncode is None:
+            # Threads may have ended before the last sample.
+            for name, spent in thread_cpu_s(self.program.pid).items():
+                self.threads[name] = max(spent, self.threads.get(name, 0.0))
             self.memory.append((time.monotonic() - (self.begin or time.monotonic()), rss_mib(self.program.pid)))
             time.sleep(1)
 
@@ -110,6 +127,11 @@ class Live:
         return {
             "exit": self.code,
             "cpu_s": round(self.cpu_s, 1),
+            # The main thread (tractrix) has points and positions; threads of networks and OpenCV have its name, too.
+            "cpu_ms_per_frame": {
+                name: round(1000 * spent / max(1, end.get("frames", 1)), 1)
+                for name, spent in sorted(self.threads.items(), key=lambda item: -item[1])[:6]
+            },
             "delay_s": quantiles(delays),
             "vehicles": len(first_seen),
             "first_position_s": round(min(first_placed.values()), 2) if first_placed else None,
