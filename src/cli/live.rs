@@ -90,7 +90,8 @@ fn follow(
     options.vehicles.mask_network = job.mask_network.unwrap_or(MaskChoice::Small);
     // Flow at two thirds of the usual size takes half the time.
     options.flow.max_dimension = options.flow.max_dimension.min(FLOW_PX);
-    let task = Job { recording: &path, growth, is_paced: is_file, options: &options };
+    let telemetry = None;
+    let task = Job { recording: &path, growth, is_paced: is_file, telemetry, options: &options };
     let found = live::run(&task, &mut |line| lines.write(line), &|| talk.is_stopped());
     drop(folder);
     match found {

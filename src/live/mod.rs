@@ -10,11 +10,13 @@
 //! Nothing grows with the duration: the window is bounded, the queues have length one.
 
 mod frames;
+mod georeference;
 mod line;
 mod load;
 mod map;
 mod models;
 mod perception;
+mod telemetry;
 mod vehicles;
 mod window;
 
@@ -25,7 +27,10 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, channel, sync_channel}
 use std::thread;
 use std::time::{Duration, Instant};
 
-pub use line::{CameraLine, EndLine, LengthUnit, Line, LoadLine, MapLine, PositionMethod, State, VehicleLine};
+pub use line::{
+    CameraLine, EndLine, GeoPosition, LengthUnit, Line, LoadLine, MapLine, PositionMethod, State, VehicleLine,
+};
+pub use telemetry::TelemetryFeed;
 
 use crate::camera::Camera;
 use crate::features::FeatureError;
@@ -92,6 +97,8 @@ pub struct Job<'a> {
     pub growth: Arc<Growth>,
     /// True if frames come at the pace of their time stamps, false if the source sets the pace.
     pub is_paced: bool,
+    /// Positions of the camera, received while it records.
+    pub telemetry: Option<Arc<TelemetryFeed>>,
     /// Options of a run; those of networks, tracker, ground, intrinsics and meters are used.
     pub options: &'a Options,
 }
@@ -120,7 +127,8 @@ pub fn run(
         window: Window::new(camera),
         vehicles: Vehicles::default(),
         load: Load::default(),
-        worker: Worker::start(Mapper::new(options, camera, known))?,
+        worker: Worker::start(Mapper::new(options, camera, known, job.telemetry.clone()))?,
+        telemetry: job.telemetry.as_deref(),
         map: None,
         final_s: f64::NEG_INFINITY,
         end: EndLine::default(),
@@ -171,6 +179,7 @@ struct Live<'a> {
     vehicles: Vehicles,
     load: Load,
     worker: Worker,
+    telemetry: Option<&'a TelemetryFeed>,
     map: Option<WorldMap>,
     /// Time of the last request of a map that makes frames final, seconds.
     final_s: f64,
@@ -184,6 +193,9 @@ impl Live<'_> {
     fn step(&mut self, arrived: Arrived) -> Result<(), LiveError> {
         let Arrived { frame, picture, at } = arrived;
         self.end.t = frame.time_s;
+        if let Some(telemetry) = self.telemetry {
+            telemetry.note_frame(frame.time_s, at);
+        }
         if self.load.skips() {
             self.end.skipped += 1;
             return self.note_load(frame.time_s, Duration::ZERO);

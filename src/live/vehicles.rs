@@ -8,14 +8,14 @@ use ::image::RgbImage;
 use nalgebra::{Matrix3, Point3};
 
 use super::LiveError;
-use super::line::{LengthUnit, PositionMethod, State, VehicleLine};
+use super::line::{GeoPosition, LengthUnit, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
 use super::models::{Model, Subject};
 use super::perception::{Identity, Outlined};
 use super::{FINAL_S, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
-use crate::metric::in_metres;
+use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::Options;
 use crate::scene::{
     Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, Reconstruction, Rect,
@@ -207,7 +207,7 @@ impl Vehicles {
                 let line = vehicle.line(frame, rect, Some(map), None, motion, decoded);
                 let Some(line) = line.map(|line| VehicleLine { state: State::Final, ..line }) else { continue };
                 lines.push(match of_model {
-                    Some(found) => line.at(found, PositionMethod::Model),
+                    Some(found) => line.at(found, PositionMethod::Model, map),
                     None => line,
                 });
             }
@@ -261,6 +261,7 @@ impl Vehicle {
         let is_metric = map.is_some_and(|map| map.is_metric);
         let line = VehicleLine {
             t: frame.time_s,
+            utc: map.and_then(|map| map.georeference.as_ref()?.utc(frame.time_s)),
             frame: frame.id.0,
             id,
             class,
@@ -273,14 +274,15 @@ impl Vehicle {
             reason: Some(reason.unwrap_or(NoContact::NoCamera)),
             position: None,
             covariance: None,
+            geo: None,
             velocity: velocity.map(|velocity| velocity.map(rounded)),
             speed_std: motion.map(|motion| rounded(motion.speed_std_m_s)),
             heading_deg: heading.map(rounded),
             heading_std_deg: moves.and_then(|motion| motion.heading_std_deg).map(rounded),
             lag_s: decoded.map_or(0.0, |decoded| rounded(decoded.elapsed().as_secs_f64())),
         };
-        Some(match placed {
-            Some(found) => line.at(found, PositionMethod::GroundContact),
+        Some(match placed.zip(map) {
+            Some((found, map)) => line.at(found, PositionMethod::GroundContact, map),
             None => line,
         })
     }
@@ -288,15 +290,30 @@ impl Vehicle {
 
 impl VehicleLine {
     /// The same with a position.
-    fn at(self, (position, covariance): ([f64; 3], [f64; 6]), method: PositionMethod) -> Self {
-        let (position, covariance) = (Some(position.map(rounded)), Some(covariance));
-        Self { position, covariance, method: Some(method), reason: None, ..self }
+    fn at(self, placed: Placed, method: PositionMethod, map: &WorldMap) -> Self {
+        let (position, covariance) = (Some(placed.position.map(rounded)), Some(placed.covariance));
+        let geo = placed.geo.map(|geo| match (map.georeference.as_ref(), self.velocity, self.speed_std) {
+            (Some(georeference), Some(velocity), Some(std)) => {
+                georeference.moving(geo, &map.frame, velocity, std, self.heading_std_deg)
+            }
+            _ => geo,
+        });
+        Self { position, covariance, geo, method: Some(method), reason: None, ..self }
     }
 }
 
 /// Four digits after the point: a tenth of a millimeter.
 fn rounded(value: f64) -> f64 {
     (1e4 * value).round() / 1e4
+}
+
+/// Position of a vehicle.
+struct Placed {
+    /// In the local frame.
+    position: [f64; 3],
+    /// Upper triangle of its covariance.
+    covariance: [f64; 6],
+    geo: Option<GeoPosition>,
 }
 
 /// Position in the local frame, and its covariance: that of the point relative to the camera, of the scale along the
@@ -307,25 +324,27 @@ fn placed_at(
     point: Point3<f64>,
     covariance: &Matrix3<f64>,
     log_ratio_std: f64,
-) -> Option<([f64; 3], [f64; 6])> {
+) -> Option<Placed> {
     let metric_from_world = map.frame.metric_from_world();
-    let ray = metric_from_world.rotation * (point - center(map, frame)?) * metric_from_world.scale;
+    let center = center(map, frame)?;
+    let ray = metric_from_world.rotation * (point - center) * metric_from_world.scale;
     let log_std = map.frame.log_scale_std().hypot(log_ratio_std);
     let found = metric_from_world * point;
     let drift = map.line.drift_std * found.coords.norm();
+    let observed = ObservedPoint { point, center, log_ratio_std, direction_std: 0.0, pose_covariance: *covariance };
     let covariance: Matrix3<f64> = in_metres(&map.frame, covariance)
         + ray * ray.transpose() * log_std.powi(2)
         + Matrix3::identity() * drift.powi(2);
     let upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|at| covariance[at]);
     let is_finite = found.coords.iter().chain(&upper).all(|x| x.is_finite());
-    is_finite.then_some((found.coords.into(), upper))
+    is_finite.then(|| Placed { position: found.coords.into(), covariance: upper, geo: map.geo(&observed) })
 }
 
-fn placed(map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 6])> {
+fn placed(map: &WorldMap, position: &GroundPosition) -> Option<Placed> {
     placed_at(map, position.frame, position.position.into(), &position.error.covariance(), 0.0)
 }
 
-fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<([f64; 3], [f64; 6])> {
+fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<Placed> {
     placed_at(map, frame, model.position(frame)?, &model.covariance(frame), model.log_ratio_std())
 }
 
