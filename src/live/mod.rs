@@ -27,6 +27,8 @@ use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, channel, sync_channel}
 use std::thread;
 use std::time::{Duration, Instant};
 
+use ::image::RgbImage;
+
 pub use line::{
     CameraLine, EndLine, GeoPosition, LengthUnit, Line, LoadLine, MapLine, PositionMethod, State, VehicleLine,
 };
@@ -40,7 +42,7 @@ use crate::io::interchange::colmap;
 use crate::mapper::{Intrinsics, MapperError};
 use crate::networks::PerceptionError;
 use crate::pipeline::{IntrinsicsSource, Options};
-use crate::scene::Topic;
+use crate::scene::{Frame, Topic};
 use crate::video::{Source, VideoError};
 use frames::{Arrived, Newest, Next};
 use load::Load;
@@ -99,6 +101,8 @@ pub struct Job<'a> {
     pub is_paced: bool,
     /// Positions of the camera, received while it records.
     pub telemetry: Option<Arc<TelemetryFeed>>,
+    /// Takes each frame before it is processed.
+    pub watch: Option<&'a dyn Fn(&Frame, &RgbImage)>,
     /// Options of a run; those of networks, tracker, ground, intrinsics and meters are used.
     pub options: &'a Options,
 }
@@ -129,6 +133,7 @@ pub fn run(
         load: Load::default(),
         worker: Worker::start(Mapper::new(options, camera, known, job.telemetry.clone()))?,
         telemetry: job.telemetry.as_deref(),
+        watch: job.watch,
         map: None,
         final_s: f64::NEG_INFINITY,
         end: EndLine::default(),
@@ -180,6 +185,7 @@ struct Live<'a> {
     load: Load,
     worker: Worker,
     telemetry: Option<&'a TelemetryFeed>,
+    watch: Option<&'a dyn Fn(&Frame, &RgbImage)>,
     map: Option<WorldMap>,
     /// Time of the last request of a map that makes frames final, seconds.
     final_s: f64,
@@ -201,6 +207,9 @@ impl Live<'_> {
             return self.note_load(frame.time_s, Duration::ZERO);
         }
         let begin = Instant::now();
+        if let Some(watch) = self.watch {
+            watch(&frame, &picture);
+        }
         self.take_map(Wait::No)?;
         let seen = self.perception.push(&frame, &picture, self.load.periods_s())?;
         self.vehicles.push(&frame, at, seen, self.perception.identities());

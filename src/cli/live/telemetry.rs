@@ -205,7 +205,12 @@ mod tests {
         let recording = output.join("recording.csv");
         let has = |text: &str| {
             let is_there = || fs::read_to_string(&recording).is_ok_and(|found| found.ends_with(text));
-            (0..200).any(|_| is_there() || { thread::sleep(Duration::from_millis(10)); false })
+            (0..200).any(|_| {
+                is_there() || {
+                    thread::sleep(Duration::from_millis(10));
+                    false
+                }
+            })
         };
         assert!(has("0,47.1,8.5\n"));
         let mut file = fs::OpenOptions::new().append(true).open(&source).unwrap();
