@@ -5,6 +5,11 @@ mod cot;
 #[cfg(feature = "live")]
 mod mavlink;
 #[cfg(feature = "live")]
+mod network;
+#[cfg(not(feature = "live"))]
+#[path = "live/no_network.rs"]
+mod network;
+#[cfg(feature = "live")]
 mod page;
 mod source;
 mod telemetry;
@@ -29,6 +34,8 @@ use crate::files::Growth;
 use crate::live::{self, EndLine, Job};
 use crate::pipeline::{MaskChoice, Options, Progress, Stage, TelemetryChoice};
 use crate::scene::Frame;
+use cot::Cot;
+use network::Network;
 use source::Source;
 use telemetry::Telemetry;
 use updates::Updates;
@@ -55,18 +62,8 @@ pub(super) struct LiveArgs {
     /// Send a Cursor on Target event per georeferenced vehicle and second, to an address or into a file
     #[arg(long, value_name = "udp:HOST:PORT|FILE", help_heading = "Outputs while it records")]
     cot: Option<cot::Target>,
-    /// Send a MAVLink message CAMERA_TRACKING_GEO_STATUS per georeferenced vehicle and second to an address
-    #[cfg(feature = "live")]
-    #[arg(long, value_name = "udp:HOST:PORT", help_heading = "Outputs while it records")]
-    mavlink: Option<updates::UdpAddress>,
-    /// Serve a page with plan view and last frame, for browsers of this computer: 127.0.0.1:8080
-    #[cfg(feature = "live")]
-    #[arg(long, value_name = "ADDRESS:PORT", help_heading = "Outputs while it records")]
-    page: Option<page::PageAddress>,
-    /// Allow an address for --page that other computers can reach; there is no password
-    #[cfg(feature = "live")]
-    #[arg(long, requires = "page", help_heading = "Outputs while it records")]
-    page_public: bool,
+    #[command(flatten)]
+    network: network::NetworkArgs,
 }
 
 /// Records a source, prints and writes its vehicles while it lasts, and runs on the recording.
@@ -76,8 +73,7 @@ pub(super) struct LiveArgs {
 pub(super) fn run(args: &LiveArgs, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let job = &args.job;
     let (source, mut options) = resolve(job, Stage::Report)?;
-    #[cfg(feature = "live")]
-    args.page.map_or(Ok(()), |page| page.check(args.page_public)).map_err(Failure::Usage)?;
+    args.network.check()?;
     use_machine(&options)?;
     let recorded = follow(&source, args, &mut options, form, talk)?;
     if let Some(signal) = talk.stopped_by() {
@@ -126,7 +122,7 @@ fn follow(
     // Flow at two thirds of the usual size takes half the time.
     own.flow.max_dimension = own.flow.max_dimension.min(FLOW_PX);
     let feed = telemetry.as_ref().map(|telemetry| telemetry.feed.clone());
-    let watch = lines.outputs.frame_watch();
+    let watch = lines.outputs.network.watch();
     let task =
         Job { recording: &path, growth, is_paced: is_file, telemetry: feed, watch: watch.as_deref(), options: &own };
     let found = live::run(&task, &mut |line| lines.write(line), &|| talk.is_stopped());
@@ -148,60 +144,30 @@ fn follow(
 type Watch = dyn Fn(&Frame, &::image::RgbImage);
 
 /// Receivers of lines other than the file and stdout; none is open unless its flag is given.
-#[derive(Default)]
 struct Outputs {
     updates: Updates,
-    cot: Option<cot::Cot>,
-    #[cfg(feature = "live")]
-    mavlink: Option<mavlink::Mavlink>,
-    #[cfg(feature = "live")]
-    page: Option<Arc<page::Page>>,
+    cot: Option<Cot>,
+    network: Network,
 }
 
 impl Outputs {
     fn open(args: &LiveArgs, talk: &TerminalProgress) -> anyhow::Result<Self> {
         let name = args.job.output.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
-        let outputs = Self {
-            updates: Updates::default(),
-            cot: args.cot.as_ref().map(|target| cot::Cot::open(target, &name)).transpose()?,
-            #[cfg(feature = "live")]
-            mavlink: args.mavlink.as_ref().map(mavlink::Mavlink::open).transpose()?,
-            #[cfg(feature = "live")]
-            page: args.page.map(page::Page::open).transpose()?.map(Arc::new),
-        };
-        #[cfg(feature = "live")]
-        if let Some(page) = &outputs.page {
-            talk.say(&format!("page: {}", page.url()));
+        let cot = args.cot.as_ref().map(|target| Cot::open(target, &name)).transpose()?;
+        let network = Network::open(&args.network)?;
+        if let Some(url) = network.url() {
+            talk.say(&format!("page: {url}"));
         }
-        #[cfg(not(feature = "live"))]
-        let _ = talk;
-        Ok(outputs)
-    }
-
-    /// Shows frames on the page.
-    fn frame_watch(&self) -> Option<Box<Watch>> {
-        #[cfg(feature = "live")]
-        if let Some(page) = self.page.clone() {
-            return Some(Box::new(move |frame, image| page.take_frame(frame, image)));
-        }
-        None
+        Ok(Self { updates: Updates::default(), cot, network })
     }
 
     fn take(&mut self, line: &live::Line, text: &str) {
-        #[cfg(feature = "live")]
-        if let Some(page) = &self.page {
-            page.take_line(line, text);
-        }
-        #[cfg(not(feature = "live"))]
-        let _ = text;
+        self.network.take_line(line, text);
         let Some((vehicle, geo)) = self.updates.due(line) else { return };
         if let Some(cot) = &mut self.cot {
             cot.send(vehicle, geo);
         }
-        #[cfg(feature = "live")]
-        if let Some(mavlink) = &mut self.mavlink {
-            mavlink.send(vehicle, geo);
-        }
+        self.network.send(vehicle, geo);
     }
 }
 
