@@ -153,7 +153,10 @@ fn nothing_is_sent_and_nothing_is_written_outside_the_output_folder() {
             &forbidden[..forbidden.len().min(9)]
         );
         // The trace must show what it is taken for.
-        assert!(calls.iter().any(|(of, call)| of == "live" && call.contains("live.jsonl")), "live is seen to write nothing");
+        assert!(
+            calls.iter().any(|(of, call)| of == "live" && call.contains("live.jsonl")),
+            "live is seen to write nothing"
+        );
         for name in ["run", "sfm", "export", "summary", "batch"] {
             let of_command = |(of, call): &&(String, String)| of == name && call.starts_with("rename");
             assert!(calls.iter().any(|call| of_command(&call)), "{name} is seen to write nothing");

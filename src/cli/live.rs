@@ -33,7 +33,6 @@ use super::terminal::TerminalProgress;
 use crate::files::Growth;
 use crate::live::{self, EndLine, Job};
 use crate::pipeline::{MaskChoice, Options, Progress, Stage, TelemetryChoice};
-use crate::scene::Frame;
 use cot::Cot;
 use network::Network;
 use source::Source;
@@ -139,9 +138,6 @@ fn follow(
     }
     Ok(path)
 }
-
-/// Takes the frames that are processed.
-type Watch = dyn Fn(&Frame, &::image::RgbImage);
 
 /// Receivers of lines other than the file and stdout; none is open unless its flag is given.
 struct Outputs {

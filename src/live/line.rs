@@ -110,7 +110,7 @@ pub struct VehicleLine {
     /// Covariance of the position: xx, xy, xz, yy, yz, zz. Null with it.
     pub covariance: Option<[f64; 6]>,
     /// Georeferenced position; null without telemetry, and before the camera has moved far enough.
-    pub geo: Option<GeoPosition>,
+    pub geo: Option<Box<GeoPosition>>,
     /// Why there is no position.
     pub reason: Option<NoContact>,
     /// Velocity, per second; null for fewer than four positions.

@@ -91,6 +91,9 @@ pub enum LiveError {
     Sink(io::Error),
 }
 
+/// Looks at a frame that is processed.
+pub type Watch = dyn Fn(&Frame, &RgbImage);
+
 /// A recording to be followed.
 pub struct Job<'a> {
     /// The file.
@@ -102,7 +105,7 @@ pub struct Job<'a> {
     /// Positions of the camera, received while it records.
     pub telemetry: Option<Arc<TelemetryFeed>>,
     /// Takes each frame before it is processed.
-    pub watch: Option<&'a dyn Fn(&Frame, &RgbImage)>,
+    pub watch: Option<&'a Watch>,
     /// Options of a run; those of networks, tracker, ground, intrinsics and meters are used.
     pub options: &'a Options,
 }
@@ -185,7 +188,7 @@ struct Live<'a> {
     load: Load,
     worker: Worker,
     telemetry: Option<&'a TelemetryFeed>,
-    watch: Option<&'a dyn Fn(&Frame, &RgbImage)>,
+    watch: Option<&'a Watch>,
     map: Option<WorldMap>,
     /// Time of the last request of a map that makes frames final, seconds.
     final_s: f64,

@@ -298,7 +298,7 @@ impl VehicleLine {
             }
             _ => geo,
         });
-        Self { position, covariance, geo, method: Some(method), reason: None, ..self }
+        Self { position, covariance, geo: geo.map(Box::new), method: Some(method), reason: None, ..self }
     }
 }
 

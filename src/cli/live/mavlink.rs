@@ -111,7 +111,7 @@ mod tests {
     #[test]
     fn unknown_values_are_no_numbers() {
         let crate::live::Line::Vehicle(vehicle) = line(300, 0.0) else { panic!() };
-        let known = vehicle.geo.clone().unwrap();
+        let known = *vehicle.geo.clone().unwrap();
         let geo = GeoPosition { height: None, vertical_std: None, velocity: None, course_deg: None, ..known };
         let found = message(&vehicle, &geo);
         assert!([found.alt, found.v_acc, found.vel_n, found.vel_d, found.hdg].iter().all(|value| value.is_nan()));

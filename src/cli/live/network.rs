@@ -3,11 +3,10 @@
 use std::sync::Arc;
 
 use super::super::output::Failure;
-use super::Watch;
 use super::mavlink::Mavlink;
 use super::page::{Page, PageAddress};
 use super::updates::UdpAddress;
-use crate::live::{GeoPosition, Line, VehicleLine};
+use crate::live::{GeoPosition, Line, VehicleLine, Watch};
 
 /// Their flags.
 #[derive(Clone, Debug, clap::Args)]

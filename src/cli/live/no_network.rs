@@ -1,8 +1,7 @@
 //! A program without the feature `live`: neither MAVLink nor a page.
 
 use super::super::output::Failure;
-use super::Watch;
-use crate::live::{GeoPosition, Line, VehicleLine};
+use crate::live::{GeoPosition, Line, VehicleLine, Watch};
 
 /// No flags.
 #[derive(Clone, Debug, clap::Args)]

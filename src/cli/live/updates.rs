@@ -29,7 +29,7 @@ impl Updates {
     /// ones: a program that shows the latest position would jump back.
     pub(super) fn due<'a>(&mut self, line: &'a Line) -> Option<(&'a VehicleLine, &'a GeoPosition)> {
         let Line::Vehicle(vehicle) = line else { return None };
-        let geo = vehicle.geo.as_ref().filter(|_| vehicle.state == State::Provisional)?;
+        let geo = vehicle.geo.as_deref().filter(|_| vehicle.state == State::Provisional)?;
         let is_early = |last: &f64| vehicle.t - last < (1.0 - EARLY) * PERIOD_S;
         if self.last_s.get(&vehicle.id).is_some_and(is_early) {
             return None;
@@ -124,7 +124,7 @@ pub(super) mod tests {
             method: Some(PositionMethod::GroundContact),
             position: Some([1.0, 2.0, 0.0]),
             covariance: Some([1.0, 0.0, 0.0, 1.0, 0.0, 1.0]),
-            geo: Some(GeoPosition {
+            geo: Some(Box::new(GeoPosition {
                 latitude: 47.123_456_7,
                 longitude: -8.765_432_1,
                 height: Some(412.5),
@@ -135,7 +135,7 @@ pub(super) mod tests {
                 speed_std: Some(0.5),
                 course_deg: Some(36.87),
                 course_std_deg: Some(5.0),
-            }),
+            })),
             reason: None,
             velocity: Some([4.0, 3.0, 0.25]),
             speed_std: Some(0.5),
