@@ -1,9 +1,9 @@
 //! Georeferencing: the camera's path of the last minute on the fixes of the telemetry.
 //!
-//! The path is in the frame of the first map, in which all maps continue, and is laid onto the fixes by the alignment of
-//! the stage `metric` (docs/maths/metric.md, eqs. 1–5). It gives latitude, longitude and height of every position, with
-//! the covariance of the alignment, and meters per unit. A later alignment replaces the one before where it is more
-//! precise at the camera; until then the drift of the maps is added to its variance.
+//! The path is in the frame of the first map, in which all maps continue, and is laid onto the fixes by the alignment
+//! of the stage `metric` (docs/maths/metric.md, eqs. 1–5). It gives latitude, longitude and height of every position,
+//! with the covariance of the alignment, and meters per unit. A later alignment replaces the one before where it is
+//! more precise at the camera; until then the drift of the maps is added to its variance.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,8 +29,8 @@ const DRIFT: f64 = 0.002;
 const TWO_BUTTONS_S: f64 = 2.0;
 /// Standard deviations by which the arrival of a camera's own log may contradict its times.
 const CONSISTENT: f64 = 3.0;
-/// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change moves
-/// all positions of the local frame.
+/// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change
+/// moves all positions of the local frame.
 const BETTER: f64 = 0.5;
 
 /// A camera center in the frame of the maps.

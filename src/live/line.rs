@@ -173,7 +173,8 @@ pub struct MapLine {
     pub models: usize,
     /// Problem of the ground.
     pub problem: Option<String>,
-    /// Why the telemetry does not georeference this map; positions use the alignment of an earlier one, if there is one.
+    /// Why the telemetry does not georeference this map; positions use the alignment of an earlier one, if there is
+    /// one.
     pub telemetry_problem: Option<String>,
     /// Time of computation, seconds.
     pub seconds: f64,
