@@ -727,3 +727,90 @@ fn a_signal_ends_a_live_recording_and_its_run_follows() {
         }
     }
 }
+
+#[test]
+fn live_telemetry_is_recorded_and_the_run_would_use_it() {
+    let place = TempDir::new().unwrap();
+    let (file, log, out) = (clip(place.path(), 30), place.path().join("log"), place.path().join("out"));
+    let mut text = "time_s,latitude,longitude,altitude\n".to_owned();
+    (0..30).for_each(|k| text += &format!("{:.1},47.{:06},8.5,400\n", 0.1 * f64::from(k), 300_000 + k));
+    fs::write(&log, &text).unwrap();
+    let live = |log: &Path| {
+        let mut command = tractrix();
+        command.args(["live", file.to_str().unwrap(), "--detector", "none", "--mask-network", "none", "--output"]);
+        command.arg(&out).args(["--no-final-run", "--telemetry"]).arg(log);
+        command
+    };
+    let (code, _, said) = outcome(&mut live(&log));
+    assert_eq!(code, 0, "{said}");
+    assert_eq!(fs::read_to_string(out.join("recording.csv")).unwrap(), text);
+    let (code, _, said) = outcome(&mut live(&place.path().join("none")));
+    assert!(code != 0 && said.contains("--telemetry") || said.contains("--overwrite"), "{said}");
+}
+
+#[test]
+fn live_outputs_are_refused_before_anything_is_recorded() {
+    let place = TempDir::new().unwrap();
+    let (file, out) = (clip(place.path(), 3), place.path().join("out"));
+    for (flags, wanted) in [
+        (&["--page", "0.0.0.0:8080"][..], "--page-public"),
+        (&["--page", "8080"], "127.0.0.1:8080"),
+        (&["--mavlink", "127.0.0.1:14550"], "udp:HOST:PORT"),
+        (&["--cot", "udp:127.0.0.1"], "udp:HOST:PORT"),
+    ] {
+        let mut command = tractrix();
+        command.args(["live", file.to_str().unwrap(), "--output"]).arg(&out).args(flags);
+        let (code, _, said) = outcome(&mut command);
+        assert!(code == 2 && said.contains(wanted), "{flags:?}: {said}");
+        assert!(!out.join("recording.avi").exists());
+    }
+}
+
+/// Sends a clip as datagrams, records them, and looks whether the program that received them has gone.
+#[test]
+fn a_stream_is_received_by_a_child_that_ends_with_the_program() {
+    use std::process::{Command, Stdio};
+    if Command::new("ffmpeg").arg("-version").output().is_err() {
+        eprintln!("skipped: no ffmpeg");
+        return;
+    }
+    let place = TempDir::new().unwrap();
+    let (file, out) = (clip(place.path(), 30), place.path().join("out"));
+    let port = std::net::UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let address = format!("udp://127.0.0.1:{port}");
+    let mut live = Command::new(env!("CARGO_BIN_EXE_tractrix"))
+        .args(["live", &address, "--detector", "none", "--mask-network", "none", "--no-final-run", "--output"])
+        .arg(&out)
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+        .unwrap();
+    let mut sender = Command::new("ffmpeg")
+        .args(["-v", "error", "-re", "-stream_loop", "-1", "-i", file.to_str().unwrap()])
+        .args(["-c:v", "mpeg2video", "-f", "mpegts", &format!("{address}?pkt_size=1316")])
+        .stdin(Stdio::null())
+        .spawn()
+        .unwrap();
+    let recording = out.join("recording.ts");
+    let begins = |_| {
+        std::thread::sleep(std::time::Duration::from_millis(100));
+        fs::metadata(&recording).is_ok_and(|found| found.len() > 20_000)
+    };
+    let has_begun = (0..300).any(begins);
+    let children = || {
+        let of = format!("/proc/{0}/task/{0}/children", live.id());
+        fs::read_to_string(of).unwrap_or_default().split_whitespace().map(str::to_owned).collect::<Vec<_>>()
+    };
+    let receivers = children();
+    let stop = rustix::process::Pid::from_raw(live.id() as i32).unwrap();
+    rustix::process::kill_process(stop, rustix::process::Signal::TERM).unwrap();
+    let ended = live.wait().unwrap();
+    sender.kill().unwrap();
+    sender.wait().unwrap();
+    assert!(has_begun, "nothing was recorded");
+    assert_eq!(ended.code(), Some(0), "its recording ends");
+    assert!(receivers.len() == 1 && !Path::new("/proc").join(&receivers[0]).exists(), "{receivers:?}");
+    let lines = fs::read_to_string(out.join("live.jsonl")).unwrap();
+    assert!(lines.lines().all(|line| serde_json::from_str::<serde_json::Value>(line).is_ok()));
+    assert!(tractrix::files::read(&recording).unwrap().starts_with(b"G"), "a transport stream");
+}

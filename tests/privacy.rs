@@ -130,6 +130,8 @@ fn nothing_is_sent_and_nothing_is_written_outside_the_output_folder() {
     command("run", &[clip, "--output", run], &format!("--end 6f {small}"));
     command("sfm", &[clip, "--output", place.path("out/sfm").to_str().unwrap()], &format!("--end 6f {small}"));
     command("export", &[run], "--format all");
+    let live = place.path("out/live");
+    command("live", &[clip, "--output", live.to_str().unwrap()], &format!("--no-final-run {small}"));
     command("summary", &[run, "--output", place.path("out/all.csv").to_str().unwrap()], "");
     command(
         "batch",
@@ -151,6 +153,10 @@ fn nothing_is_sent_and_nothing_is_written_outside_the_output_folder() {
             &forbidden[..forbidden.len().min(9)]
         );
         // The trace must show what it is taken for.
+        assert!(
+            calls.iter().any(|(of, call)| of == "live" && call.contains("live.jsonl")),
+            "live is seen to write nothing"
+        );
         for name in ["run", "sfm", "export", "summary", "batch"] {
             let of_command = |(of, call): &&(String, String)| of == name && call.starts_with("rename");
             assert!(calls.iter().any(|call| of_command(&call)), "{name} is seen to write nothing");
@@ -163,6 +169,34 @@ fn nothing_is_sent_and_nothing_is_written_outside_the_output_folder() {
             );
         }
     }
+}
+
+#[test]
+fn live_opens_the_named_addresses_and_no_others() {
+    let place = Place::new();
+    if !place.is_traced {
+        return;
+    }
+    let clip = Path::new(env!("CARGO_MANIFEST_DIR")).join("dataset/demo/video.mp4");
+    let out = place.path("out/live");
+    let fixed = ["live", clip.to_str().unwrap(), "--output", out.to_str().unwrap(), "--no-final-run"];
+    let none = ["--detector", "none", "--mask-network", "none", "--max-dimension", "320"];
+    let named = ["--cot", "udp:127.0.0.1:9", "--mavlink", "udp:127.0.0.1:10", "--page", "127.0.0.1:0"];
+    place.run("live", &[&fixed[..], &none, &named].concat());
+    let calls = place.calls();
+    let of = |name: &str| {
+        let wanted = calls.iter().filter(|(_, call)| call.starts_with(&format!("{name}(")));
+        wanted.map(|(_, call)| call.as_str()).filter(|call| call.contains("AF_INET")).collect::<Vec<_>>()
+    };
+    let (opened, connected, bound) = (of("socket"), of("connect"), of("bind"));
+    assert_eq!((opened.len(), connected.len(), bound.len()), (3, 2, 3), "{calls:#?}");
+    let has = |calls: &[&str], port: &str, address: &str| {
+        calls.iter().any(|call| call.contains(&format!("htons({port})")) && call.contains(&format!("\"{address}\"")))
+    };
+    assert!(has(&connected, "9", "127.0.0.1") && has(&connected, "10", "127.0.0.1"), "{connected:?}");
+    // Two senders without an address of their own, and the page.
+    assert_eq!(bound.iter().filter(|call| call.contains("\"0.0.0.0\"")).count(), 2, "{bound:?}");
+    assert!(has(&bound, "0", "127.0.0.1"), "{bound:?}");
 }
 
 #[test]

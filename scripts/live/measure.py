@@ -1,22 +1,28 @@
 #!/usr/bin/env python3
 """Measures `tractrix live` on a clip that is piped into it at its own rate.
 
-    scripts/live/measure.py VIDEO OUT [--truth SEQUENCE] [--batch OUT] [--seconds S] [-- FLAGS OF tractrix live]
+    scripts/live/measure.py VIDEO OUT [--truth SEQUENCE] [--batch OUT] [--seconds S] [--fixes STD]
+        [-- FLAGS OF tractrix live]
 
 Prints one JSON object: delay from a frame's time to the line of its provisional position, time to the first position
 of each vehicle, dropped frames, load, memory, and with --truth the errors of provisional and final positions against a
-rendered sequence (scene.json), with --batch those of an output folder of `tractrix run` by the same measure. Needs
+rendered sequence (scene.json), with --batch those of an output folder of `tractrix run` by the same measure. --fixes
+sends true camera positions, five a second, into a named pipe for --telemetry, with a constant error of STD meters on
+each axis and noise of a fifth of it, and prints errors of georeferenced positions over their standard deviations. Needs
 ffmpeg and numpy; the program is $TRACTRIX or target/release/tractrix.
 """
 
 import argparse
 import json
+import math
 import os
 import subprocess
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +63,50 @@ def thread_cpu_s(pid: int) -> dict[str, float]:
         user, system = rest.split()[11:13]
         spent[name] = spent.get(name, 0.0) + (int(user) + int(system)) / os.sysconf("SC_CLK_TCK")
     return spent
+
+
+LATITUDE, LONGITUDE, HEIGHT_M = 47.3, 8.5, 420.0  # of the origin of a rendered sequence
+# Meters per degree there, on the ellipsoid of WGS 84 (radii of curvature).
+NORTH_M = math.radians(6335439.327 / (1 - 0.0066943799901 * math.sin(math.radians(LATITUDE)) ** 2) ** 1.5)
+EAST_M = math.radians(6378137.0 / (1 - 0.0066943799901 * math.sin(math.radians(LATITUDE)) ** 2) ** 0.5) * math.cos(
+    math.radians(LATITUDE)
+)
+RATE_HZ = 5.0
+
+
+def geodetic(position: Array) -> tuple[float, float, float]:
+    """Latitude, longitude, height of a position of a rendered sequence: x to the east, y to the north."""
+    return LATITUDE + position[1] / NORTH_M, LONGITUDE + position[0] / EAST_M, HEIGHT_M + position[2]
+
+
+class Fixes(threading.Thread):
+    """Writes positions of the camera into a named pipe, each at its time."""
+
+    def __init__(self, pipe: Path, truth: "Truth", std_m: float, speed: float) -> None:
+        super().__init__(daemon=True)
+        self.pipe, self.speed = pipe, speed
+        noise = np.random.default_rng(1)
+        bias = noise.normal(0, std_m, 3)
+        times = np.arange(0, truth.times[-1], 1 / RATE_HZ)
+        centers = np.array([camera[:3, 3] for camera in truth.cameras])
+        at = np.stack([np.interp(times, truth.times, centers[:, axis]) for axis in range(3)], 1)
+        self.rows = []
+        for time_s, position in zip(times, at + bias + noise.normal(0, std_m / 5, at.shape), strict=True):
+            stamp = datetime.fromtimestamp(1717243200 + time_s, UTC).isoformat(timespec="milliseconds")
+            latitude, longitude, height = geodetic(position)
+            text = f"{stamp.replace('+00:00', 'Z')},{latitude:.8f},{longitude:.8f},{height:.3f},{std_m:.2f},{std_m:.2f}\n"
+            self.rows.append((time_s, text))
+        os.mkfifo(pipe)
+
+    def run(self) -> None:
+        """Waits for the reader, then sends."""
+        with self.pipe.open("w") as to:
+            begin = time.monotonic()
+            to.write("utc,latitude,longitude,altitude,hAcc,vAcc\n")
+            for time_s, text in self.rows:
+                time.sleep(max(0.0, begin + time_s / self.speed - time.monotonic()))
+                to.write(text)
+                to.flush()
 
 
 class Live:
@@ -238,6 +288,40 @@ class Truth:
         }
 
 
+def of_geo(truth: Truth, live: Live) -> Any:
+    """Errors of georeferenced positions, meters, and over the standard deviations that are stated."""
+    middle = np.append(0.5 * (truth.mesh.max(0) + truth.mesh.min(0)), 1)
+    result: dict[str, Any] = {}
+    for kind in ("camera", "vehicle"):
+        for state in ("provisional", "final"):
+            rows = []
+            for _, line in live.of(kind, state):
+                geo = line["geo"]
+                if geo is None:
+                    continue
+                frame = line["frame"]
+                true = truth.cameras[frame][:3, 3] if kind == "camera" else (truth.objects[frame] @ middle)[:3]
+                latitude, longitude, height = geodetic(true)
+                east, north = (geo["longitude"] - longitude) * EAST_M, (geo["latitude"] - latitude) * NORTH_M
+                horizontal = math.hypot(east, north)
+                if kind == "camera" or horizontal < 4 * NEAR_M:
+                    up = abs(geo["height"] - height)
+                    rows.append((horizontal, geo["horizontal_std"], up, geo["vertical_std"]))
+            if rows:
+                table = np.array(rows)
+                result[f"{kind}, {state}"] = {
+                    "frames": len(rows),
+                    "horizontal_m": quantiles(list(table[:, 0])),
+                    "horizontal_std_m": quantiles(list(table[:, 1])),
+                    "horizontal_over_std": quantiles(list(table[:, 0] / table[:, 1])),
+                    "vertical_m": quantiles(list(table[:, 2])),
+                    "vertical_over_std": quantiles(list(table[:, 2] / table[:, 3])),
+                }
+    result["scales"] = [[line["t"], line["scale"], line["scale_std"]] for _, line in live.of("map")]
+    result["problems"] = sorted({line["telemetry_problem"] or "" for _, line in live.of("map")})
+    return result
+
+
 def mesh_points(path: Path) -> Array:
     """Vertices of an ASCII or binary PLY."""
     data = path.read_bytes()
@@ -304,13 +388,21 @@ def main() -> None:
     parser.add_argument("--truth", type=Path)
     parser.add_argument("--batch", type=Path)
     parser.add_argument("--seconds", type=float)
+    parser.add_argument("--fixes", type=float, metavar="STD", help="standard deviation of the positions, meters")
     parser.add_argument("--speed", type=float, default=1.0, help="of the clip, for machines with other work")
     split = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     args, flags = parser.parse_args(sys.argv[1:split]), sys.argv[split + 1 :]
-    live = Live(args.video, args.out, args.seconds, args.speed, flags)
+    truth = Truth(args.truth) if args.truth else None
+    with tempfile.TemporaryDirectory() as folder:
+        if truth and args.fixes:
+            pipe = Path(folder) / "fixes"
+            Fixes(pipe, truth, args.fixes, args.speed).start()
+            flags += ["--telemetry", str(pipe)]
+        live = Live(args.video, args.out, args.seconds, args.speed, flags)
     result = live.timing()
-    if args.truth:
-        truth = Truth(args.truth)
+    if truth:
+        if args.fixes:
+            result["georeferenced"] = of_geo(truth, live)
         for state in ("provisional", "final"):
             for method in ("ground-contact", "corrected-contact", "model", None):
                 result[f"{state}, {method or 'all'}"] = of_live(truth, live, state, method)

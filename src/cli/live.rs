@@ -1,11 +1,24 @@
 //! `tractrix live`: vehicles while the camera records. The source is recorded first, byte for byte; the recording is
 //! followed while it grows, and run when it has ended.
 
+mod cot;
+#[cfg(feature = "live")]
+mod mavlink;
+#[cfg(feature = "live")]
+mod network;
+#[cfg(not(feature = "live"))]
+#[path = "live/no_network.rs"]
+mod network;
+#[cfg(feature = "live")]
+mod page;
+mod source;
+mod telemetry;
+mod updates;
+
 use std::ffi::OsString;
-use std::fs::{self, File};
-use std::io::{self, IsTerminal, Read, Write};
-use std::os::unix::fs::FileTypeExt;
-use std::path::Path;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
@@ -14,12 +27,17 @@ use anyhow::{Context, anyhow};
 
 use super::job::{JobArgs, resolve, use_machine};
 use super::output::{Failure, Form};
-use super::recording::{self, STDIN};
+use super::recording;
 use super::run;
 use super::terminal::TerminalProgress;
-use crate::files::{self, Growth};
+use crate::files::Growth;
 use crate::live::{self, EndLine, Job, Order};
-use crate::pipeline::{MaskChoice, Options, Progress, Stage};
+use crate::pipeline::{MaskChoice, Options, Progress, Stage, TelemetryChoice};
+use cot::Cot;
+use network::Network;
+use source::Source;
+use telemetry::Telemetry;
+use updates::Updates;
 
 /// Name of the file of results in the output folder.
 const LINES: &str = "live.jsonl";
@@ -40,6 +58,11 @@ pub(super) struct LiveArgs {
     /// Do not run on the recording when the source ends
     #[arg(long)]
     no_final_run: bool,
+    /// Send a Cursor on Target event per georeferenced vehicle and second, to an address or into a file
+    #[arg(long, value_name = "udp:HOST:PORT|FILE", help_heading = "Outputs while it records")]
+    cot: Option<cot::Target>,
+    #[command(flatten)]
+    network: network::NetworkArgs,
 }
 
 /// Records a source, prints and writes its vehicles while it lasts, and runs on the recording.
@@ -48,9 +71,10 @@ pub(super) struct LiveArgs {
 /// A source that cannot be read or decoded, an earlier recording without `--overwrite`, a full disk.
 pub(super) fn run(args: &LiveArgs, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
     let job = &args.job;
-    let (source, options) = resolve(job, Stage::Report)?;
+    let (source, mut options) = resolve(job, Stage::Report)?;
+    args.network.check()?;
     use_machine(&options)?;
-    let recorded = follow(&source, job, &options, form, talk)?;
+    let recorded = follow(&source, args, &mut options, form, talk)?;
     if let Some(signal) = talk.stopped_by() {
         let (path, output) = (recorded.display(), job.output.display());
         talk.say(&format!("stopped; run the recording with `tractrix run {path} --output {output}`"));
@@ -62,19 +86,25 @@ pub(super) fn run(args: &LiveArgs, arguments: &[OsString], form: Form, talk: &Te
     }
 }
 
-/// Follows a source to its end; gives the recording.
+/// Follows a source to its end; gives the recording. Options name the recorded telemetry afterwards.
 fn follow(
     source: &Path,
-    job: &JobArgs,
-    options: &Options,
+    args: &LiveArgs,
+    options: &mut Options,
     form: Form,
     talk: &TerminalProgress,
-) -> Result<std::path::PathBuf, Failure> {
-    let (mut input, is_file) = open(source)?;
+) -> Result<PathBuf, Failure> {
+    let job = &args.job;
+    let Source { mut input, is_file, receiver } = source::open(source)?;
     let folder = recording::own(&job.output)?;
     let earlier = recording::replaceable(&job.output, job.overwrite)?;
+    let telemetry = match &options.metric.telemetry {
+        TelemetryChoice::File(path) => Some(Telemetry::start(path, &job.output, job.overwrite)?),
+        TelemetryChoice::Auto | TelemetryChoice::None => None,
+    };
+    let outputs = Outputs::open(args, talk)?;
     let (path, file) = recording::begin(&mut input, source, &job.output, &earlier)?;
-    let mut lines = Lines::create(&job.output.join(LINES), form)?;
+    let mut lines = Lines::create(&job.output.join(LINES), form, outputs)?;
     let growth = Arc::new(Growth::default());
     let recorder = Recorder { input, file, growth: growth.clone(), grows: is_file };
     let shown = path.display().to_string();
@@ -86,11 +116,14 @@ fn follow(
     copying.context("recorder cannot be started")?;
     talk.ends_in_order();
     // The small mask network is the only one that is fast enough.
-    let mut options = options.clone();
-    options.vehicles.mask_network = job.mask_network.unwrap_or(MaskChoice::Small);
+    let mut own = options.clone();
+    own.vehicles.mask_network = job.mask_network.unwrap_or(MaskChoice::Small);
     // Flow at two thirds of the usual size takes half the time.
-    options.flow.max_dimension = options.flow.max_dimension.min(FLOW_PX);
-    let task = Job { recording: &path, growth, is_paced: is_file, options: &options };
+    own.flow.max_dimension = own.flow.max_dimension.min(FLOW_PX);
+    let feed = telemetry.as_ref().map(|telemetry| telemetry.feed.clone());
+    let watch = lines.outputs.network.watch();
+    let task =
+        Job { recording: &path, growth, is_paced: is_file, telemetry: feed, watch: watch.as_deref(), options: &own };
     let stop = talk.stop();
     let order = || match (talk.is_stopped(), stop.has_ended_recording()) {
         (true, _) => Order::Stop,
@@ -103,7 +136,12 @@ fn follow(
     if stop.has_ended_recording() {
         talk.say("recording ended by a signal; another one stops the program");
     }
-    drop(folder);
+    drop((folder, receiver));
+    if let Some(telemetry) = &telemetry {
+        // Where nothing came, the run has none either.
+        let choice = telemetry.finish().map(|path| TelemetryChoice::File(path.to_owned()));
+        options.metric.telemetry = choice.unwrap_or(TelemetryChoice::None);
+    }
     match found {
         Ok(end) => talk.say(&in_words(&end)),
         Err(error) if talk.stopped_by().is_some() => tracing::error!("{error}"),
@@ -112,17 +150,32 @@ fn follow(
     Ok(path)
 }
 
-/// Opens a source; says whether it is an ordinary file, which may still grow.
-fn open(source: &Path) -> Result<(Box<dyn Read + Send>, bool), Failure> {
-    if source == Path::new(STDIN) {
-        if io::stdin().is_terminal() {
-            return Err(Failure::Usage("-: standard input is a terminal; pipe a video into it".to_owned()));
+/// Receivers of lines other than the file and stdout; none is open unless its flag is given.
+struct Outputs {
+    updates: Updates,
+    cot: Option<Cot>,
+    network: Network,
+}
+
+impl Outputs {
+    fn open(args: &LiveArgs, talk: &TerminalProgress) -> anyhow::Result<Self> {
+        let name = args.job.output.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        let cot = args.cot.as_ref().map(|target| Cot::open(target, &name)).transpose()?;
+        let network = Network::open(&args.network)?;
+        if let Some(url) = network.url() {
+            talk.say(&format!("page: {url}"));
         }
-        return Ok((Box::new(io::stdin()), false));
+        Ok(Self { updates: Updates::default(), cot, network })
     }
-    let unreadable = || format!("{}: cannot be read", source.display());
-    let is_pipe = fs::metadata(source).with_context(unreadable)?.file_type().is_fifo();
-    Ok((Box::new(files::open_stream(source).with_context(unreadable)?), !is_pipe))
+
+    fn take(&mut self, line: &live::Line, text: &str) {
+        self.network.take_line(line, text);
+        let Some((vehicle, geo)) = self.updates.due(line) else { return };
+        if let Some(cot) = &mut self.cot {
+            cot.send(vehicle, geo);
+        }
+        self.network.send(vehicle, geo);
+    }
 }
 
 /// Copies a source into the recording.
@@ -169,12 +222,13 @@ impl Recorder {
 struct Lines {
     file: File,
     stdout: Option<io::Stdout>,
+    outputs: Outputs,
 }
 
 impl Lines {
-    fn create(path: &Path, form: Form) -> anyhow::Result<Self> {
+    fn create(path: &Path, form: Form, outputs: Outputs) -> anyhow::Result<Self> {
         let file = File::create(path).with_context(|| format!("{}: cannot be written", path.display()))?;
-        Ok(Self { file, stdout: (form != Form::Nothing).then(io::stdout) })
+        Ok(Self { file, stdout: (form != Form::Nothing).then(io::stdout), outputs })
     }
 
     /// Writes a line with one call each, so that a process that is killed leaves whole lines.
@@ -189,6 +243,7 @@ impl Lines {
             }
             self.stdout = None;
         }
+        self.outputs.take(line, &text);
         Ok(())
     }
 }

@@ -7,6 +7,8 @@
 use std::io::Write;
 use std::path::Path;
 
+use quick_xml::Writer;
+
 use super::xml::{self, Xml, allowed, element};
 use super::{ExportError, Results};
 use crate::io::atomic;
@@ -26,6 +28,58 @@ const UNKNOWN: &str = "9999999.0";
 /// An event is valid until the second event after it, and for a second at least: players drop it afterwards.
 const VALID_STEPS: f64 = 2.0;
 const MIN_VALID_S: f64 = 1.0;
+
+/// A vehicle at a time.
+#[derive(Clone, Debug, PartialEq)]
+pub struct CotEvent {
+    /// Identity of the vehicle.
+    pub uid: String,
+    /// Name that is shown.
+    pub callsign: String,
+    /// Text.
+    pub remarks: String,
+    /// UTC, seconds after 1970.
+    pub time_s: f64,
+    /// Time for which the event is valid, seconds.
+    pub valid_s: f64,
+    /// North of the equator, degrees.
+    pub latitude: f64,
+    /// East of Greenwich, degrees.
+    pub longitude: f64,
+    /// Height, meters; `None` where it is unknown.
+    pub height_m: Option<f64>,
+    /// Horizontal standard deviation, meters.
+    pub horizontal_std_m: f64,
+    /// Standard deviation of the height, meters.
+    pub vertical_std_m: Option<f64>,
+    /// Speed and course, where they are known.
+    pub track: Option<CotTrack>,
+}
+
+/// Motion of a vehicle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct CotTrack {
+    /// Direction of motion, degrees clockwise from north.
+    pub course_deg: Option<f64>,
+    /// Its standard deviation, degrees.
+    pub course_std_deg: Option<f64>,
+    /// Speed, meters per second.
+    pub speed_m_s: f64,
+    /// Its standard deviation, meters per second.
+    pub speed_std_m_s: f64,
+}
+
+impl CotEvent {
+    /// The event as one line of XML without a declaration; `None` beyond the calendar.
+    pub fn to_line(&self) -> Option<String> {
+        let mut line = Vec::new();
+        let mut xml: Xml = Writer::new(&mut line);
+        // Memory takes everything.
+        event(&mut xml, self).ok()?;
+        let line = String::from_utf8(line).ok()?.replace(['\r', '\n'], " ");
+        (!line.is_empty()).then_some(line)
+    }
+}
 
 /// A vehicle with its events.
 struct Vehicle {
@@ -59,7 +113,10 @@ fn document(out: &mut dyn Write, results: &Results, start_s: f64) -> std::io::Re
     // Stable: vehicles of one time stay in the order of their ids.
     events.sort_by(|(_, a, _), (_, b, _)| a.time_s.total_cmp(&b.time_s));
     xml::document(out, "events", &[], |xml| {
-        events.iter().try_for_each(|(vehicle, fix, valid_s)| event(xml, results, vehicle, fix, start_s, *valid_s))
+        let described = |(vehicle, fix, valid_s): &(&Vehicle, &Fix, f64)| {
+            event(xml, &described(results, vehicle, fix, start_s, *valid_s))
+        };
+        events.iter().try_for_each(described)
     })
 }
 
@@ -99,18 +156,40 @@ fn contact_fix(results: &Results, position: &GroundPosition) -> Option<Fix> {
     Some(Fix { time_s: position.time_s, place, metric: position.metric })
 }
 
-fn event(
-    xml: &mut Xml,
-    results: &Results,
-    vehicle: &Vehicle,
-    fix: &Fix,
-    start_s: f64,
-    valid_s: f64,
-) -> std::io::Result<()> {
-    let date = |after_s: f64| telemetry::date(start_s + fix.time_s + after_s, true);
+fn described(results: &Results, vehicle: &Vehicle, fix: &Fix, start_s: f64, valid_s: f64) -> CotEvent {
+    let class = if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class };
+    let [east, north, up] = fix.place.place_std_m;
+    let known = |value: f64| results.knows_height().then_some(value);
+    CotEvent {
+        uid: format!("tractrix.{}.{}", results.title, vehicle.id),
+        callsign: format!("{class} {}", vehicle.id),
+        remarks: vehicle.remarks.clone(),
+        time_s: start_s + fix.time_s,
+        valid_s,
+        latitude: fix.place.latitude,
+        longitude: fix.place.longitude,
+        height_m: known(fix.place.height_m),
+        horizontal_std_m: east.hypot(north),
+        vertical_std_m: known(up),
+        track: fix.metric.as_ref().and_then(|metric| metric.motion).map(|motion| {
+            // A vehicle that backs up moves against its heading.
+            let turn = if motion.speed_m_s < 0.0 { 180.0 } else { 0.0 };
+            let course_deg = motion.heading_deg.map(|heading| (heading + turn).rem_euclid(360.0));
+            CotTrack {
+                course_deg,
+                course_std_deg: motion.heading_std_deg.filter(|_| course_deg.is_some()),
+                speed_m_s: motion.speed_m_s.abs(),
+                speed_std_m_s: motion.speed_std_m_s,
+            }
+        }),
+    }
+}
+
+fn event(xml: &mut Xml, of: &CotEvent) -> std::io::Result<()> {
+    let date = |after_s: f64| telemetry::date(of.time_s + after_s, true);
     // Beyond the calendar there is no date, and no event.
-    let (Some(time), Some(stale)) = (date(0.0), date(valid_s)) else { return Ok(()) };
-    let uid = allowed(&format!("tractrix.{}.{}", results.title, vehicle.id));
+    let (Some(time), Some(stale)) = (date(0.0), date(of.valid_s)) else { return Ok(()) };
+    let uid = allowed(&of.uid);
     let attributes = [
         ("version", "2.0"),
         ("uid", &uid),
@@ -120,42 +199,34 @@ fn event(
         ("start", &time),
         ("stale", &stale),
     ];
-    let class = if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class };
     xml.create_element("event").with_attributes(attributes).write_inner_content(|xml| {
-        point(xml, results, &fix.place)?;
+        point(xml, of)?;
         xml.create_element("detail").write_inner_content(|xml| {
-            xml.create_element("contact")
-                .with_attribute(("callsign", allowed(&format!("{class} {}", vehicle.id)).as_str()))
-                .write_empty()?;
-            track(xml, fix.metric.as_ref())?;
-            element(xml, "remarks", &vehicle.remarks)
+            xml.create_element("contact").with_attribute(("callsign", allowed(&of.callsign).as_str())).write_empty()?;
+            of.track.as_ref().map_or(Ok(()), |found| track(xml, found))?;
+            element(xml, "remarks", &of.remarks)
         })?;
         Ok(())
     })?;
     Ok(())
 }
 
-fn point(xml: &mut Xml, results: &Results, place: &MapPlace) -> std::io::Result<()> {
-    let [east, north, up] = place.place_std_m;
-    let known = |value: f64| if results.knows_height() { format!("{value:.4}") } else { UNKNOWN.to_owned() };
-    let [latitude, longitude] = [place.latitude, place.longitude].map(|degrees| format!("{degrees:.9}"));
-    let (hae, le, ce) = (known(place.height_m), known(up), format!("{:.4}", east.hypot(north)));
+fn point(xml: &mut Xml, of: &CotEvent) -> std::io::Result<()> {
+    let known = |value: Option<f64>| value.map_or_else(|| UNKNOWN.to_owned(), |value| format!("{value:.4}"));
+    let [latitude, longitude] = [of.latitude, of.longitude].map(|degrees| format!("{degrees:.9}"));
+    let (hae, le, ce) = (known(of.height_m), known(of.vertical_std_m), format!("{:.4}", of.horizontal_std_m));
     let attributes = [("lat", latitude.as_str()), ("lon", &longitude), ("hae", &hae), ("ce", &ce), ("le", &le)];
     xml.create_element("point").with_attributes(attributes).write_empty()?;
     Ok(())
 }
 
 /// Speed and the direction of motion, with their standard deviations.
-fn track(xml: &mut Xml, metric: Option<&MetricPose>) -> std::io::Result<()> {
-    let Some(motion) = metric.and_then(|metric| metric.motion) else { return Ok(()) };
-    // A vehicle that backs up moves against its heading.
-    let turn = if motion.speed_m_s < 0.0 { 180.0 } else { 0.0 };
-    let course = motion.heading_deg.map(|heading| (heading + turn).rem_euclid(360.0));
+fn track(xml: &mut Xml, of: &CotTrack) -> std::io::Result<()> {
     let values = [
-        ("course", course),
-        ("speed", Some(motion.speed_m_s.abs())),
-        ("eCourse", motion.heading_std_deg.filter(|_| course.is_some())),
-        ("eSpeed", Some(motion.speed_std_m_s)),
+        ("course", of.course_deg),
+        ("speed", Some(of.speed_m_s)),
+        ("eCourse", of.course_std_deg),
+        ("eSpeed", Some(of.speed_std_m_s)),
     ];
     let texts = values.map(|(name, value)| (name, value.map(|value| format!("{value:.4}"))));
     let attributes = texts.iter().filter_map(|(name, text)| Some((*name, text.as_deref()?)));

@@ -35,6 +35,7 @@ mod write;
 mod xml;
 
 pub use clock::Clock;
+pub use cot::{CotEvent, CotTrack};
 pub use error::ExportError;
 pub use facts::Facts;
 pub use format::{Format, Need};

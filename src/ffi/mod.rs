@@ -1,5 +1,7 @@
 //! Bindings to foreign libraries behind safe types; the only room where `unsafe` may stand.
 
+#[cfg(feature = "cli")]
+pub mod child;
 pub mod environment;
 #[cfg(feature = "video")]
 pub mod ffmpeg;

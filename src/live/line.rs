@@ -66,11 +66,39 @@ pub enum LengthUnit {
     Arbitrary,
 }
 
+/// A position on the ellipsoid of WGS 84, by the telemetry.
+#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+pub struct GeoPosition {
+    /// Latitude, degrees.
+    pub latitude: f64,
+    /// Longitude, degrees.
+    pub longitude: f64,
+    /// Height as the telemetry counts it, meters; null where it has none above the ellipsoid or the sea.
+    pub height: Option<f64>,
+    /// Standard deviation of the horizontal position, meters: root of the sum of the squares of that to the east and
+    /// that to the north.
+    pub horizontal_std: f64,
+    /// Standard deviation of the height, meters; null with it.
+    pub vertical_std: Option<f64>,
+    /// Distance from the camera, meters.
+    pub distance: f64,
+    /// Velocity to the east, to the north and up, meters per second.
+    pub velocity: Option<[f64; 3]>,
+    /// Standard deviation of the speed, meters per second.
+    pub speed_std: Option<f64>,
+    /// Direction of motion, degrees clockwise from north; null for a vehicle at rest.
+    pub course_deg: Option<f64>,
+    /// Its standard deviation, degrees.
+    pub course_std_deg: Option<f64>,
+}
+
 /// A vehicle in one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct VehicleLine {
     /// Time of the frame, seconds of the recording.
     pub t: f64,
+    /// The same in UTC by the clock of the telemetry, ISO 8601; null where it is unknown.
+    pub utc: Option<String>,
     /// Index of the frame in the recording, from 0.
     pub frame: u32,
     /// Id of the vehicle; not that of the run on the recording.
@@ -95,6 +123,8 @@ pub struct VehicleLine {
     pub position: Option<[f64; 3]>,
     /// Covariance of the position: xx, xy, xz, yy, yz, zz. Null with it.
     pub covariance: Option<[f64; 6]>,
+    /// Georeferenced position; null without telemetry, and before the camera has moved far enough.
+    pub geo: Option<Box<GeoPosition>>,
     /// Why there is no position.
     pub reason: Option<NoContact>,
     /// Motion state; null where the positions leave it open.
@@ -126,6 +156,8 @@ pub struct CameraLine {
     pub unit: LengthUnit,
     /// Center, in the local frame.
     pub position: [f64; 3],
+    /// Georeferenced center; null without telemetry.
+    pub geo: Option<GeoPosition>,
     /// Rotation from the local frame to that of the camera (x right, y down, z forward), as a unit quaternion.
     pub rotation_wxyz: [f64; 4],
 }
@@ -157,6 +189,9 @@ pub struct MapLine {
     pub models: usize,
     /// Problem of the ground.
     pub problem: Option<String>,
+    /// Why the telemetry does not georeference this map; positions use the alignment of an earlier one, if there is
+    /// one.
+    pub telemetry_problem: Option<String>,
     /// Time of computation, seconds.
     pub seconds: f64,
 }

@@ -5,12 +5,15 @@
 //! and time do not grow; what is lost is that the standard deviation of lengths grows with every alignment.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Instant;
 
 use nalgebra::{Point3, Vector3};
 
-use super::line::{CameraLine, LengthUnit, MapLine, State};
+use super::georeference::{self, Georeference, Georeferencer};
+use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
 use super::models::{self, Model};
+use super::telemetry::TelemetryFeed;
 use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
 use super::{LiveError, Purpose};
 use crate::camera::Camera;
@@ -20,7 +23,7 @@ use crate::ground::{
 };
 use crate::mapper::{self, Intrinsics, PosePriors};
 use crate::math::{Rigid3, Sim3, median, umeyama};
-use crate::metric::{Fused, Kind, Level, Measured, Source, frame_on_ground, fuse};
+use crate::metric::{Fused, Gravity, Kind, Level, Measured, ObservedPoint, Source, frame_on_ground, fuse};
 use crate::pipeline::Options;
 use crate::scene::{Frame, FrameId, GroundPlane, MetricFrame, MetricVerdict, ObjectId, Point3d, Reconstruction};
 use crate::trajectory::{Outlines, outline_pixels};
@@ -91,6 +94,8 @@ pub(super) struct WorldMap {
     /// Meters, or lengths of an arbitrary unit.
     pub(super) frame: MetricFrame,
     pub(super) is_metric: bool,
+    /// Latitude and longitude, where telemetry gives them.
+    pub(super) georeference: Option<Arc<Georeference>>,
     /// Time of the last frame, seconds.
     pub(super) time_s: f64,
     pub(super) purpose: Purpose,
@@ -111,8 +116,14 @@ impl WorldMap {
             revision: self.revision,
             unit: if self.is_metric { LengthUnit::M } else { LengthUnit::Arbitrary },
             position: pose.center().coords.into(),
+            geo: self.geo(&georeference::camera(cam_from_world.center())),
             rotation_wxyz: [q.w, q.i, q.j, q.k],
         }
+    }
+
+    /// A point of the map on the ellipsoid.
+    pub(super) fn geo(&self, observed: &ObservedPoint) -> Option<GeoPosition> {
+        Some(self.georeference.as_ref()?.position(observed, self.line.drift_std.powi(2)))
     }
 }
 
@@ -167,10 +178,17 @@ pub(super) struct Mapper {
     nominal: Option<f64>,
     /// Variance of the logarithm of lengths by the alignments so far.
     drift: f64,
+    georeferencer: Option<Georeferencer>,
 }
 
 impl Mapper {
-    pub(super) fn new(options: &Options, camera: Camera, known: Intrinsics) -> Self {
+    /// * `telemetry` – positions of the camera.
+    pub(super) fn new(
+        options: &Options,
+        camera: Camera,
+        known: Intrinsics,
+        telemetry: Option<Arc<TelemetryFeed>>,
+    ) -> Self {
         Self {
             options: options.clone(),
             camera,
@@ -182,6 +200,7 @@ impl Mapper {
             begin_s: f64::NEG_INFINITY,
             nominal: None,
             drift: 0.0,
+            georeferencer: telemetry.map(Georeferencer::new),
         }
     }
 
@@ -231,7 +250,7 @@ impl Mapper {
         if !is_continued {
             self.begin_s = time_s;
         }
-        let (frame, is_metric) = self.metric(&model, &ground, focal_std.unwrap_or(0.0), time_s);
+        let (frame, is_metric) = self.metric(&model, &ground, focal_std.unwrap_or(0.0), &snapshot.frames);
         let line = MapLine {
             t: time_s,
             revision: self.revision,
@@ -245,6 +264,7 @@ impl Mapper {
             scale_std: is_metric.then_some(frame.std.scale),
             models: 0,
             problem,
+            telemetry_problem: self.georeferencer.as_ref().and_then(Georeferencer::problem),
             seconds: 0.0,
         };
         let revision = self.revision;
@@ -259,6 +279,7 @@ impl Mapper {
             ground,
             frame,
             is_metric,
+            georeference: self.georeferencer.as_ref().and_then(Georeferencer::found),
             time_s,
             purpose: snapshot.purpose,
             line,
@@ -283,13 +304,21 @@ impl Mapper {
             }
             None => {
                 (self.level, self.height, self.nominal, self.drift) = (None, None, None, 0.0);
+                self.georeferencer.iter_mut().for_each(Georeferencer::restart);
                 false
             }
         }
     }
 
     /// The metric frame, and whether its meters are known.
-    fn metric(&mut self, model: &Reconstruction, ground: &Ground, focal_std: f64, time_s: f64) -> (MetricFrame, bool) {
+    fn metric(
+        &mut self,
+        model: &Reconstruction,
+        ground: &Ground,
+        focal_std: f64,
+        frames: &[Frame],
+    ) -> (MetricFrame, bool) {
+        let time_s = frames.last().map_or(0.0, |frame| frame.time_s);
         let none = Vec::new();
         let points = ground.dominant.as_ref().map_or(&none, |dominant| &dominant.point_ids);
         let below = camera_height(model, points, &self.options.ground, self.options.seed).ok();
@@ -311,7 +340,14 @@ impl Mapper {
         let of_scale = metric.scale.map(|scale| surveyed("given scale", scale.log()));
         let of_height = metric.camera_height.zip(height);
         let of_height = of_height.map(|(given, units)| surveyed("camera height", given.log_ratio(&units)));
-        let sources: Vec<Source> = of_scale.into_iter().chain(of_height).collect();
+        let mut sources: Vec<Source> = of_scale.into_iter().chain(of_height).collect();
+        if let Some(georeferencer) = &mut self.georeferencer {
+            let (drift, options) = (self.drift, metric);
+            let gravity = below.as_ref().map(|below| Gravity { up_in_world: below.up_in_world, std: tilt_std(below) });
+            let update = georeference::Update { model, frames, gravity, drift, sources: &sources, options };
+            georeferencer.update(&update);
+            sources.extend(georeferencer.scale(drift));
+        }
         let level = *self.level.get_or_insert_with(|| level(model, below.as_ref()));
         let known = fuse(&sources);
         let is_metric = known.is_some();
@@ -323,16 +359,19 @@ impl Mapper {
     }
 }
 
+/// Standard deviation of the normal of the ground as the vertical, radians; as in the stage `metric`.
+fn tilt_std(below: &CameraHeight) -> f64 {
+    SLOPE_STD.hypot(0.5 * below.tilt_spread)
+}
+
 /// The vertical and the origin; as in the stage `metric`.
 fn level(model: &Reconstruction, below: Option<&CameraHeight>) -> Level {
     /// Standard deviation of a camera's tilt where no ground is visible, radians.
     const CAMERA_TILT_STD: f64 = 0.5;
     let poses = || model.images.values().map(|image| image.cam_from_world);
     let of_cameras = || poses().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum::<Vector3<f64>>();
-    let (up, tilt_std) = below.map_or_else(
-        || (of_cameras(), CAMERA_TILT_STD),
-        |below| (below.up_in_world, SLOPE_STD.hypot(0.5 * below.tilt_spread)),
-    );
+    let (up, tilt_std) =
+        below.map_or_else(|| (of_cameras(), CAMERA_TILT_STD), |below| (below.up_in_world, tilt_std(below)));
     let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
     let first = poses().next().unwrap_or_else(Rigid3::identity);
     let (forward, upper) = (first.rotation.inverse() * Vector3::z(), first.rotation.inverse() * -Vector3::y());
@@ -427,7 +466,7 @@ mod tests {
             ..scene::Options::default()
         };
         let scene = static_scene(&options);
-        let mut mapper = Mapper::new(&Options::default(), options.camera, Intrinsics::FIXED);
+        let mut mapper = Mapper::new(&Options::default(), options.camera, Intrinsics::FIXED, None);
         let mut maps: Vec<WorldMap> = Vec::new();
         for begin in [0, 10, 20] {
             let mut snapshot = snapshot(&scene, begin..begin + 40);

@@ -10,11 +10,13 @@
 //! Nothing grows with the duration: the window is bounded, the queues have length one.
 
 mod frames;
+mod georeference;
 mod line;
 mod load;
 mod map;
 mod models;
 mod perception;
+mod telemetry;
 mod vehicles;
 mod window;
 
@@ -25,10 +27,13 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use ::image::RgbImage;
+
 pub use line::{
-    CameraLine, EndLine, LengthUnit, Line, LoadLine, MapLine, MotionState, NoMapLine, PositionMethod, State,
-    VehicleLine,
+    CameraLine, EndLine, GeoPosition, LengthUnit, Line, LoadLine, MapLine, MotionState, NoMapLine, PositionMethod,
+    State, VehicleLine,
 };
+pub use telemetry::TelemetryFeed;
 
 use crate::camera::Camera;
 use crate::features::FeatureError;
@@ -38,6 +43,7 @@ use crate::io::interchange::colmap;
 use crate::mapper::{Intrinsics, MapperError};
 use crate::networks::PerceptionError;
 use crate::pipeline::{IntrinsicsSource, Options};
+use crate::scene::Frame;
 use crate::video::{Source, VideoError};
 use frames::Next;
 use load::Load;
@@ -88,6 +94,9 @@ pub enum LiveError {
     Sink(io::Error),
 }
 
+/// Looks at a frame that is processed.
+pub type Watch = dyn Fn(&Frame, &RgbImage);
+
 /// A recording to be followed.
 pub struct Job<'a> {
     /// The file.
@@ -96,6 +105,10 @@ pub struct Job<'a> {
     pub growth: Arc<Growth>,
     /// True if frames come at the pace of their time stamps, false if the source sets the pace.
     pub is_paced: bool,
+    /// Positions of the camera, received while it records.
+    pub telemetry: Option<Arc<TelemetryFeed>>,
+    /// Takes each frame before it is processed.
+    pub watch: Option<&'a Watch>,
     /// Options of a run; those of networks, tracker, ground, intrinsics and meters are used.
     pub options: &'a Options,
 }
@@ -135,7 +148,9 @@ pub fn run(
         window: Window::new(camera),
         vehicles: Vehicles::default(),
         load,
-        worker: Worker::start(Mapper::new(options, camera, known))?,
+        worker: Worker::start(Mapper::new(options, camera, known, job.telemetry.clone()))?,
+        telemetry: job.telemetry.as_deref(),
+        watch: job.watch,
         map: None,
         mapped_s: None,
         no_map: None,
@@ -183,6 +198,8 @@ struct Live<'a> {
     vehicles: Vehicles,
     load: Arc<Mutex<Load>>,
     worker: Worker,
+    telemetry: Option<&'a TelemetryFeed>,
+    watch: Option<&'a Watch>,
     map: Option<WorldMap>,
     /// Time from which the absence of a map counts, seconds; infinite once it was reported.
     mapped_s: Option<f64>,
@@ -203,6 +220,12 @@ impl Live<'_> {
         let begin = Instant::now();
         self.end.t = frame.time_s;
         (self.end.dropped, self.end.skipped) = (num_dropped, num_skipped);
+        if let Some(telemetry) = self.telemetry {
+            telemetry.note_frame(frame.time_s, at);
+        }
+        if let Some(watch) = self.watch {
+            watch(&frame, &picture);
+        }
         self.take_map(Wait::No)?;
         self.vehicles.push(&frame, at, seen, identities);
         self.vehicles.track_points(&frame, &picture, &masks, self.window.camera())?;

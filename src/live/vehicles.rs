@@ -8,7 +8,7 @@ use ::image::RgbImage;
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::LiveError;
-use super::line::{LengthUnit, MotionState, PositionMethod, State, VehicleLine};
+use super::line::{GeoPosition, LengthUnit, MotionState, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
 use super::models::{Model, Subject};
 use super::perception::{Identity, Outlined};
@@ -16,7 +16,7 @@ use super::{FINAL_S, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::math::median;
-use crate::metric::in_metres;
+use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::Options;
 use crate::scene::{
     ContactError, Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId,
@@ -253,7 +253,7 @@ impl Vehicles {
                 let line = vehicle.line(frame, rect, Some(map), None, motion, decoded);
                 let Some(line) = line.map(|line| VehicleLine { state: State::Final, ..line }) else { continue };
                 lines.push(match of_model {
-                    Some(found) => line.at(found, PositionMethod::Model),
+                    Some(found) => line.at(found, PositionMethod::Model, map),
                     None => line,
                 });
             }
@@ -304,7 +304,7 @@ impl Vehicle {
 
     /// The center of the vehicle in a frame without its model, by the contact point and the offset in frames nearby;
     /// `None` where no model was made.
-    fn corrected(&self, map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 6])> {
+    fn corrected(&self, map: &WorldMap, position: &GroundPosition) -> Option<Placed> {
         let mut near: Vec<&Offset> = self.offsets.values().collect();
         near.sort_by(|a, b| (a.time_s - position.time_s).abs().total_cmp(&(b.time_s - position.time_s).abs()));
         near.truncate(NUM_OFFSETS);
@@ -317,10 +317,15 @@ impl Vehicle {
         let error = ContactError { common: [0.0; 3], ..position.error };
         let moved = metric_from_world.inverse() * (contact + axes * offset);
         let log_ratio_std = near.iter().map(|offset| offset.log_ratio_std).fold(0.0, f64::max);
-        let (found, mut upper) = placed_at(map, position.frame, moved, &error.covariance(), log_ratio_std)?;
+        let mut found = placed_at(map, position.frame, moved, &error.covariance(), log_ratio_std)?;
         let spread = near.iter().map(|near| (near.vector - offset).norm_squared()).sum::<f64>() / near.len() as f64;
-        [0, 3, 5].into_iter().for_each(|diagonal| upper[diagonal] += spread / 3.0);
-        Some((found, upper))
+        let variance = spread / 3.0;
+        [0, 3, 5].into_iter().for_each(|diagonal| found.covariance[diagonal] += variance);
+        if let Some(geo) = &mut found.geo {
+            geo.horizontal_std = geo.horizontal_std.hypot((2.0 * variance).sqrt());
+            geo.vertical_std = geo.vertical_std.map(|std| std.hypot(variance.sqrt()));
+        }
+        Some(found)
     }
 
     /// The line of a confirmed vehicle.
@@ -348,6 +353,7 @@ impl Vehicle {
         let is_metric = map.is_some_and(|map| map.is_metric);
         let line = VehicleLine {
             t: frame.time_s,
+            utc: map.and_then(|map| map.georeference.as_ref()?.utc(frame.time_s)),
             frame: frame.id.0,
             id,
             class,
@@ -361,14 +367,15 @@ impl Vehicle {
             position: None,
             covariance: None,
             motion: motion.and_then(|motion| motion_state(&motion, is_metric)),
+            geo: None,
             velocity: velocity.map(|velocity| velocity.map(rounded)),
             speed_std: motion.map(|motion| rounded(motion.speed_std_m_s)),
             heading_deg: heading.map(rounded),
             heading_std_deg: moves.and_then(|motion| motion.heading_std_deg).map(rounded),
             lag_s: decoded.map_or(0.0, |decoded| rounded(decoded.elapsed().as_secs_f64())),
         };
-        Some(match placed {
-            Some((found, method)) => line.at(found, method),
+        Some(match placed.zip(map) {
+            Some(((found, method), map)) => line.at(found, method, map),
             None => line,
         })
     }
@@ -376,9 +383,15 @@ impl Vehicle {
 
 impl VehicleLine {
     /// The same with a position.
-    fn at(self, (position, covariance): ([f64; 3], [f64; 6]), method: PositionMethod) -> Self {
-        let (position, covariance) = (Some(position.map(rounded)), Some(covariance));
-        Self { position, covariance, method: Some(method), reason: None, ..self }
+    fn at(self, placed: Placed, method: PositionMethod, map: &WorldMap) -> Self {
+        let (position, covariance) = (Some(placed.position.map(rounded)), Some(placed.covariance));
+        let geo = placed.geo.map(|geo| match (map.georeference.as_ref(), self.velocity, self.speed_std) {
+            (Some(georeference), Some(velocity), Some(std)) => {
+                georeference.moving(geo, &map.frame, velocity, std, self.heading_std_deg)
+            }
+            _ => geo,
+        });
+        Self { position, covariance, geo: geo.map(Box::new), method: Some(method), reason: None, ..self }
     }
 }
 
@@ -417,6 +430,15 @@ fn rounded(value: f64) -> f64 {
     (1e4 * value).round() / 1e4
 }
 
+/// Position of a vehicle.
+struct Placed {
+    /// In the local frame.
+    position: [f64; 3],
+    /// Upper triangle of its covariance.
+    covariance: [f64; 6],
+    geo: Option<GeoPosition>,
+}
+
 /// Position in the local frame, and its covariance: that of the point relative to the camera, of the scale along the
 /// line of sight, and of the alignments since the first map.
 fn placed_at(
@@ -425,25 +447,27 @@ fn placed_at(
     point: Point3<f64>,
     covariance: &Matrix3<f64>,
     log_ratio_std: f64,
-) -> Option<([f64; 3], [f64; 6])> {
+) -> Option<Placed> {
     let metric_from_world = map.frame.metric_from_world();
-    let ray = metric_from_world.rotation * (point - center(map, frame)?) * metric_from_world.scale;
+    let center = center(map, frame)?;
+    let ray = metric_from_world.rotation * (point - center) * metric_from_world.scale;
     let log_std = map.frame.log_scale_std().hypot(log_ratio_std);
     let found = metric_from_world * point;
     let drift = map.line.drift_std * found.coords.norm();
+    let observed = ObservedPoint { point, center, log_ratio_std, direction_std: 0.0, pose_covariance: *covariance };
     let covariance: Matrix3<f64> = in_metres(&map.frame, covariance)
         + ray * ray.transpose() * log_std.powi(2)
         + Matrix3::identity() * drift.powi(2);
     let upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|at| covariance[at]);
     let is_finite = found.coords.iter().chain(&upper).all(|x| x.is_finite());
-    is_finite.then_some((found.coords.into(), upper))
+    is_finite.then(|| Placed { position: found.coords.into(), covariance: upper, geo: map.geo(&observed) })
 }
 
-fn placed(map: &WorldMap, position: &GroundPosition) -> Option<([f64; 3], [f64; 6])> {
+fn placed(map: &WorldMap, position: &GroundPosition) -> Option<Placed> {
     placed_at(map, position.frame, position.position.into(), &position.error.covariance(), 0.0)
 }
 
-fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<([f64; 3], [f64; 6])> {
+fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<Placed> {
     placed_at(map, frame, model.position(frame)?, &model.covariance(frame), model.log_ratio_std())
 }
 

@@ -32,6 +32,7 @@ pub use driver::stage::Stage;
 pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
+pub use inputs::attitude::orientation as gimbal_orientation;
 pub use inputs::telemetry::telemetry_of;
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
@@ -40,6 +41,7 @@ pub use options::{
 };
 pub use stages::background::{CameraReport, ModelReport, background_frame};
 pub use stages::features::found_features::found_features;
+pub use stages::metric::dates_of_log;
 pub use stages::objects::object_pose_priors;
 pub use stages::report::link_exports;
 

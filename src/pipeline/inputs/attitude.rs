@@ -8,7 +8,7 @@ use super::telemetry::Telemetry;
 use crate::metric::{self, Orientation, metric_from_cam};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{Frame, Image, Reconstruction, Topic};
-use crate::telemetry::CameraSample;
+use crate::telemetry::{CameraSample, Fix};
 
 /// Standard deviation of the gravity that a camera states, radians (a degree): as that of a gimbal's pitch and roll.
 const GRAVITY_STD: f64 = 0.017;
@@ -84,21 +84,19 @@ fn describe_rotations(pairs: &[(CameraSample, UnitQuaternion<f64>, &Image)], out
 }
 
 /// Orientation of the background by the gimbal angles of the fixes nearest in time to each frame.
-pub(in crate::pipeline) fn orientation(
+pub fn orientation(
     background: &Reconstruction,
     frames: &[Frame],
-    telemetry: &Telemetry,
+    fixes: &[Fix],
     log_from_video_s: f64,
 ) -> Option<Orientation> {
     /// Angles that are older than this are those of another view, seconds.
     const MAX_AGE_S: f64 = 0.5;
-    let by_video = telemetry.log.fixes.iter().all(|fix| fix.video_s.is_some());
-    let timed = telemetry
-        .log
-        .fixes
+    let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
+    let timed: Vec<_> = fixes
         .iter()
-        .filter_map(|fix| Some((if by_video { fix.video_s? } else { fix.clock_s? }, fix.gimbal?)));
-    let timed: Vec<_> = timed.collect();
+        .filter_map(|fix| Some((if by_video { fix.video_s? } else { fix.clock_s? }, fix.gimbal?)))
+        .collect();
     let pair = |(frame, image): (&Frame, &Image)| -> Option<(UnitQuaternion<f64>, UnitQuaternion<f64>)> {
         let time_s = frame.time_s + log_from_video_s;
         let after = timed.partition_point(|(at, _)| *at < time_s);

@@ -144,7 +144,11 @@ pub(in crate::pipeline) fn station(run: &Run, background: &Reconstruction, log: 
         // The bias of a receiver lasts longer than a clip.
         std_m: Vector3::new(one.horizontal_std_m, one.horizontal_std_m, one.vertical_std_m),
         height_m: up_m.filter(|height| heights == Heights::Relative && *height > 0.0),
-        orientation: if of_images { None } else { attitude::orientation(background, frames, log, epoch_s + offset_s) },
+        orientation: if of_images {
+            None
+        } else {
+            attitude::orientation(background, frames, &log.log.fixes, epoch_s + offset_s)
+        },
         epoch_s,
         offset_s: *offset_s,
         offset_std_s: *offset_std_s,

@@ -163,7 +163,7 @@ fn support(
         Offset::Known { mean_s, .. } => mean_s,
         Offset::Unknown => return Support { offset, gravity, orientation: None },
     };
-    let orientation = orientation(background, frames, telemetry, epoch_s + mean_s);
+    let orientation = orientation(background, frames, &telemetry.log.fixes, epoch_s + mean_s);
     let agrees = |orientation: &Orientation| {
         let up = orientation.metric_from_world.inverse() * nalgebra::Vector3::z();
         gravity.is_none_or(|gravity| up.angle(&gravity.up_in_world) <= MAX_TILT)

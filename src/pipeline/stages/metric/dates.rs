@@ -5,10 +5,11 @@ use std::collections::BTreeMap;
 use super::aligned::Aligned;
 use crate::math::median;
 use crate::metric::UtcOffset;
+use crate::pipeline::MetricOptions;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{ClockZone, Dates};
-use crate::telemetry::{self, ClockKind, Fix};
+use crate::telemetry::{self, ClockKind, Fix, Log};
 use crate::video::{self, Kind, Taken};
 
 /// The sixth of January 1980, where the time of satellites begins: no receiver states an earlier one, so that a smaller
@@ -24,20 +25,26 @@ pub(super) fn find(run: &Run, telemetry: Option<&Telemetry>, aligned: Option<&Al
         return Some(dates);
     }
     let telemetry = telemetry.filter(|telemetry| !telemetry.origin.is_of_images())?;
-    let zone = match telemetry.log.clock {
+    of_log(&telemetry.log, aligned.and_then(|aligned| aligned.clock_offset_s), &run.options.metric)
+}
+
+/// Dates by the clock of a log.
+///
+/// * `fitted_s` – the log's time minus the video's, seconds; `None` where the log does not fit the video.
+pub fn of_log(log: &Log, fitted_s: Option<f64>, options: &MetricOptions) -> Option<Dates> {
+    let zone = match log.clock {
         ClockKind::Utc => ClockZone::Utc,
         ClockKind::Local => ClockZone::Local,
         ClockKind::TimeOfDay | ClockKind::Absent => return None,
     };
-    let stated_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
-    let fitted_s = aligned.and_then(|aligned| aligned.clock_offset_s);
+    let stated_s = options.time_offset.map_or(0.0, |offset| offset.mean_s);
     let log_from_video_s = fitted_s.unwrap_or(stated_s);
-    let start_s = match clock_from_log_s(&telemetry.log.fixes) {
+    let start_s = match clock_from_log_s(&log.fixes) {
         Some(clock_from_log_s) => log_from_video_s + clock_from_log_s,
         // Times of the log are those of its clock.
         None => fitted_s?,
     };
-    (start_s >= EARLIEST_S).then(|| match (zone, utc_offset) {
+    (start_s >= EARLIEST_S).then(|| match (zone, options.utc_offset) {
         (ClockZone::Local, Some(offset)) => dated(start_s - offset.seconds(), ClockZone::Utc),
         _ => dated(start_s, zone),
     })

@@ -30,6 +30,7 @@ use crate::scene::{
 };
 use crate::telemetry;
 use aligned::Aligned;
+pub use dates::of_log as dates_of_log;
 use ground_tracks::Scale;
 use placed::Placing;
 use sources::Ground;

@@ -1,0 +1,422 @@
+//! Georeferencing: the camera's path of the last minute on the fixes of the telemetry.
+//!
+//! The path is in the frame of the first map, in which all maps continue, and is laid onto the fixes by the alignment
+//! of the stage `metric` (docs/maths/metric.md, eqs. 1–5). It gives latitude, longitude and height of every position,
+//! with the covariance of the alignment, and meters per unit. A later alignment replaces the one before where it is
+//! more precise at the camera; until then the drift of the maps is added to its variance.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use nalgebra::{Matrix3, Point3, Vector3};
+
+use super::line::GeoPosition;
+use super::telemetry::{Current, TelemetryFeed};
+use crate::metric::{
+    Alignment, CameraPath, Gravity, Kind, ObservedPoint, Offset, Source, Support, align_to_fixes, frame_on_map, fuse,
+    place_std_m,
+};
+use crate::pipeline::{MetricOptions, dates_of_log, gimbal_orientation};
+use crate::scene::{ClockZone, Frame, FrameId, MapOrigin, MetricFrame, Reconstruction};
+use crate::telemetry::{LocalFixes, LocalFrame, Log, TimeBase, date};
+
+/// Length of the path, seconds: a baseline of hundreds of meters, over which maps drift by a few per cent.
+const PATH_S: f64 = 60.0;
+/// Error of camera centers as a share of the path, at least; as in the stage `metric`.
+const DRIFT: f64 = 0.002;
+/// Standard deviation of the offset of a log whose times count from its own beginning, seconds: as well as people press
+/// two buttons at once; as in the stage `metric`.
+const TWO_BUTTONS_S: f64 = 2.0;
+/// Standard deviations by which the arrival of a camera's own log may contradict its times.
+const CONSISTENT: f64 = 3.0;
+/// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change
+/// moves all positions of the local frame.
+const BETTER: f64 = 0.5;
+
+/// A camera center in the frame of the maps.
+struct Visited {
+    time_s: f64,
+    center: Point3<f64>,
+    /// Variance of the logarithm of lengths by the alignments of maps up to it.
+    drift: f64,
+}
+
+/// The frame of the maps on the ellipsoid.
+pub(super) struct Georeference {
+    /// Meters east, north, up from the frame of the maps.
+    frame: MetricFrame,
+    map: LocalFrame,
+    knows_height: bool,
+    /// UTC at the beginning of the video, seconds after 1970; `None` where the log has none.
+    utc_start_s: Option<f64>,
+    alignment: Alignment,
+    /// Variance of the logarithm of lengths by the alignments of maps up to it.
+    drift: f64,
+}
+
+/// Lays the path of the camera onto the fixes, map by map.
+pub(super) struct Georeferencer {
+    feed: Arc<TelemetryFeed>,
+    path: BTreeMap<FrameId, Visited>,
+    found: Option<Arc<Georeference>>,
+    /// Meters per unit of the local frame, and the drift up to them.
+    held: Option<(Source, f64)>,
+    problem: Option<String>,
+}
+
+/// A new map, as far as georeferencing needs it.
+pub(super) struct Update<'a> {
+    pub(super) model: &'a Reconstruction,
+    /// The frames of its images.
+    pub(super) frames: &'a [Frame],
+    pub(super) gravity: Option<Gravity>,
+    /// Variance of the logarithm of lengths by the alignments of maps so far.
+    pub(super) drift: f64,
+    /// Other sources of scale.
+    pub(super) sources: &'a [Source],
+    pub(super) options: &'a MetricOptions,
+}
+
+impl Georeferencer {
+    pub(super) fn new(feed: Arc<TelemetryFeed>) -> Self {
+        Self { feed, path: BTreeMap::new(), found: None, held: None, problem: None }
+    }
+
+    /// Forgets everything: the maps have a new frame.
+    pub(super) fn restart(&mut self) {
+        *self = Self::new(self.feed.clone());
+    }
+
+    /// Takes a new map; lays the path onto the fixes.
+    pub(super) fn update(&mut self, update: &Update) {
+        let Update { model, frames, drift, .. } = *update;
+        let visited = frames.iter().filter_map(|frame| {
+            let center = model.images.get(&frame.id.into())?.cam_from_world.center();
+            Some((frame.id, Visited { time_s: frame.time_s, center, drift }))
+        });
+        self.path.extend(visited);
+        let Some(last) = self.path.values().next_back() else { return };
+        let (begin_s, here) = (last.time_s - PATH_S, last.center);
+        self.path.retain(|_, visited| visited.time_s >= begin_s);
+        match self.align(update) {
+            Err(problem) => self.problem = Some(problem),
+            Ok(new) => {
+                self.problem = None;
+                self.hold(&new.alignment, drift);
+                let error = |found: &Georeference| found.camera_std(here, drift);
+                let is_better = self.found.as_ref().is_none_or(|found| error(&new) <= error(found));
+                if is_better {
+                    self.found = Some(Arc::new(new));
+                }
+            }
+        }
+    }
+
+    /// The best alignment so far.
+    pub(super) fn found(&self) -> Option<Arc<Georeference>> {
+        self.found.clone()
+    }
+
+    /// Why the last map could not be aligned.
+    pub(super) fn problem(&self) -> Option<String> {
+        self.problem.clone()
+    }
+
+    /// Meters per unit of the local frame.
+    ///
+    /// * `drift` – variance of the logarithm of lengths by the alignments of maps so far.
+    pub(super) fn scale(&self, drift: f64) -> Option<Source> {
+        let (source, before) = self.held.as_ref()?;
+        Some(Source { std: source.std.hypot((drift - before).max(0.0).sqrt()), ..source.clone() })
+    }
+
+    fn hold(&mut self, alignment: &Alignment, drift: f64) {
+        let new = source(alignment);
+        if self.scale(drift).is_none_or(|held| new.std < BETTER * held.std) {
+            self.held = Some((new, drift));
+        }
+    }
+
+    fn align(&self, update: &Update) -> Result<Georeference, String> {
+        let Update { model, frames, gravity, drift, sources, options } = *update;
+        let current = self.feed.current().map_err(|error| error.to_string())?;
+        let LocalFixes { frame: map, knows_height, mut fixes, times, .. } =
+            current.log.local_fixes().ok_or("no position with a time")?;
+        // Seconds after 1970 have too few digits for steps of milliseconds.
+        let first_s = fixes.first().map_or(0.0, |fix| fix.time_s);
+        let epoch_s = if times == TimeBase::Clock { first_s } else { 0.0 };
+        fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
+        let path = self.camera_path()?;
+        let offset = offset(&current, times, epoch_s, options);
+        let orientation = match offset {
+            Offset::Known { mean_s, .. } => gimbal_orientation(model, frames, &current.log.fixes, epoch_s + mean_s),
+            Offset::Unknown => None,
+        };
+        let support = Support { offset, gravity: gravity.filter(|_| orientation.is_none()), orientation };
+        let alignment = align_to_fixes(&path, &fixes, &support).map_err(|refusal| refusal.to_string())?;
+        let of_log = source(&alignment);
+        let all: Vec<Source> = sources.iter().cloned().chain([of_log]).collect();
+        let fused = fuse(&all).ok_or("no scale")?;
+        let origin = map.origin;
+        let frame = frame_on_map(
+            &fused,
+            &alignment,
+            MapOrigin {
+                longitude: origin.longitude_deg,
+                latitude: origin.latitude_deg,
+                height_m: origin.height_m,
+                knows_height,
+            },
+        );
+        let utc_start_s = utc_start_s(&current.log, epoch_s + alignment.offset_s, options);
+        Ok(Georeference { frame, map, knows_height, utc_start_s, alignment, drift })
+    }
+
+    fn camera_path(&self) -> Result<CameraPath, String> {
+        let centers: Vec<(f64, Point3<f64>)> =
+            self.path.values().map(|visited| (visited.time_s, visited.center)).collect();
+        let length: f64 = centers.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).sum();
+        let drifts = || self.path.values().map(|visited| visited.drift);
+        let drift = drifts().next_back().unwrap_or(0.0) - drifts().next().unwrap_or(0.0);
+        let center_std = length * DRIFT.max(drift.max(0.0).sqrt());
+        CameraPath::new(centers, center_std).ok_or_else(|| "fewer than two frames registered".to_owned())
+    }
+}
+
+fn source(alignment: &Alignment) -> Source {
+    let (log_scale, std) = (alignment.metric_from_world.scale.ln(), alignment.log_scale_std());
+    Source { name: "telemetry".to_owned(), kind: Kind::Telemetry, log_scale, std }
+}
+
+/// Prior on the time between the clocks.
+fn offset(current: &Current, times: TimeBase, epoch_s: f64, options: &MetricOptions) -> Offset {
+    if let Some(given) = options.time_offset {
+        return Offset::Known { mean_s: given.mean_s, std_s: given.std_s };
+    }
+    let of_camera = |dialect: &&str| dialect.starts_with("dji") || dialect.starts_with("gpmf");
+    let is_of_camera = times == TimeBase::Video && current.log.dialects().keys().any(of_camera);
+    match current.by_arrival {
+        Some((mean_s, std_s)) if !is_of_camera || mean_s.abs() > CONSISTENT * std_s => {
+            Offset::Known { mean_s: mean_s - epoch_s, std_s }
+        }
+        _ if is_of_camera => Offset::SAME_FILE,
+        _ if times == TimeBase::Video => Offset::Known { mean_s: 0.0, std_s: TWO_BUTTONS_S },
+        _ => Offset::Unknown,
+    }
+}
+
+fn utc_start_s(log: &Log, log_from_video_s: f64, options: &MetricOptions) -> Option<f64> {
+    let dates = dates_of_log(log, Some(log_from_video_s), options)?;
+    dates.start_s.filter(|_| dates.zone == ClockZone::Utc)
+}
+
+impl Georeference {
+    /// A position of the maps on the ellipsoid.
+    ///
+    /// * `drift` – variance of the logarithm of lengths by the alignments of maps so far.
+    pub(super) fn position(&self, observed: &ObservedPoint, drift: f64) -> GeoPosition {
+        let found = self.map.to_geodetic(self.frame.metric_from_world() * observed.point);
+        let [east, north, up] = self.std_m(observed, drift);
+        GeoPosition {
+            latitude: found.latitude_deg,
+            longitude: found.longitude_deg,
+            height: self.knows_height.then_some(rounded(found.height_m)),
+            horizontal_std: rounded(east.hypot(north)),
+            vertical_std: self.knows_height.then_some(rounded(up)),
+            distance: rounded((observed.point - observed.center).norm() * self.frame.scale),
+            velocity: None,
+            speed_std: None,
+            course_deg: None,
+            course_std_deg: None,
+        }
+    }
+
+    /// The same with the velocity.
+    ///
+    /// * `local` – frame of the velocity.
+    /// * `velocity` – along its axes, per second.
+    /// * `heading_std_deg` – `None` for a vehicle at rest.
+    pub(super) fn moving(
+        &self,
+        position: GeoPosition,
+        local: &MetricFrame,
+        velocity: [f64; 3],
+        speed_std: f64,
+        heading_std_deg: Option<f64>,
+    ) -> GeoPosition {
+        let (map, local) = (self.frame.metric_from_world(), local.metric_from_world());
+        let factor = map.scale / local.scale;
+        let velocity = map.rotation * (local.rotation.inverse() * Vector3::from(velocity)) * factor;
+        let course = velocity.x.atan2(velocity.y).to_degrees().rem_euclid(360.0);
+        let north_std = self.frame.std.heading_deg.unwrap_or(0.0);
+        GeoPosition {
+            velocity: Some([velocity.x, velocity.y, velocity.z].map(rounded)),
+            speed_std: Some(rounded(speed_std * factor)),
+            course_deg: heading_std_deg.map(|_| rounded(course)),
+            course_std_deg: heading_std_deg.map(|std| rounded(std.hypot(north_std))),
+            ..position
+        }
+    }
+
+    /// UTC of a time of the video, ISO 8601.
+    pub(super) fn utc(&self, time_s: f64) -> Option<String> {
+        date(self.utc_start_s? + time_s, true)
+    }
+
+    fn std_m(&self, observed: &ObservedPoint, drift: f64) -> [f64; 3] {
+        let arm = (observed.point - Point3::from(self.frame.anchor)).norm() * self.frame.scale;
+        let drift = arm * (drift - self.drift).max(0.0).sqrt();
+        place_std_m(&self.frame, observed).map(|std| std.hypot(drift))
+    }
+
+    /// Standard deviation of the camera's position, meters.
+    fn camera_std(&self, center: Point3<f64>, drift: f64) -> f64 {
+        let [east, north, _] = self.std_m(&camera(center), drift);
+        east.hypot(north)
+    }
+}
+
+/// A camera center, without an error of its own.
+pub(super) fn camera(center: Point3<f64>) -> ObservedPoint {
+    let pose_covariance = Matrix3::zeros();
+    ObservedPoint { point: center, center, log_ratio_std: 0.0, direction_std: 0.0, pose_covariance }
+}
+
+/// Four digits after the point: a tenth of a millimeter.
+fn rounded(value: f64) -> f64 {
+    (1e4 * value).round() / 1e4
+}
+
+#[cfg(test)]
+mod tests {
+    use std::path::Path;
+
+    use nalgebra::{UnitQuaternion, point, vector};
+    use rand::Rng as _;
+    use rand_distr::StandardNormal;
+
+    use super::*;
+    use crate::math::{Sim3, seeded_rng};
+    use crate::metric::Kind;
+    use crate::synthetic::scene::{self, CameraMotion, static_scene};
+    use crate::telemetry::Geodetic;
+
+    const STEP_S: f64 = 0.5;
+
+    /// A flight of 300 m at 10 m/s, its log, and the true similarity.
+    struct Flight {
+        model: Reconstruction,
+        frames: Vec<Frame>,
+        feed: Arc<TelemetryFeed>,
+        enu_from_world: Sim3,
+        map: LocalFrame,
+    }
+
+    /// * `std_m` – standard deviation of the positions of the log.
+    fn flight(std_m: f64) -> Flight {
+        let options = scene::Options { num_images: 60, path: CameraMotion::Flight, ..scene::Options::default() };
+        let model = static_scene(&options);
+        let frames: Vec<Frame> = model
+            .images
+            .iter()
+            .map(|(id, image)| Frame {
+                id: id.frame(),
+                name: image.name.clone(),
+                time_s: STEP_S * f64::from(id.frame().0),
+            })
+            .collect();
+        let rotation = UnitQuaternion::from_euler_angles(0.3, -0.2, 1.1);
+        let enu_from_world = Sim3::new(10.0, rotation, vector![40.0, -20.0, 55.0]);
+        let map = LocalFrame::at(Geodetic { longitude_deg: 8.5, latitude_deg: 47.3, height_m: 400.0 });
+        let feed = Arc::new(TelemetryFeed::new(Path::new("recording.csv")));
+        feed.push(b"time_s,latitude,longitude,altitude,utc\n", false);
+        let mut rng = seeded_rng(3, 0);
+        for frame in frames.iter().step_by(2) {
+            let center = enu_from_world * model.images[&frame.id.into()].cam_from_world.center();
+            let noise = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal) * std_m);
+            let at = map.to_geodetic(center + noise);
+            let row = format!(
+                "{:.3},{:.9},{:.9},{:.4},2024-06-01T12:00:{:06.3}Z\n",
+                frame.time_s, at.latitude_deg, at.longitude_deg, at.height_m, frame.time_s
+            );
+            feed.push(row.as_bytes(), false);
+        }
+        Flight { model, frames, feed, enu_from_world, map }
+    }
+
+    impl Flight {
+        fn update<'a>(&'a self, drift: f64, options: &'a MetricOptions) -> Update<'a> {
+            let up_in_world = self.enu_from_world.rotation.inverse() * Vector3::z();
+            let gravity = Some(Gravity { up_in_world, std: 0.02 });
+            Update { model: &self.model, frames: &self.frames, gravity, drift, sources: &[], options }
+        }
+    }
+
+    #[test]
+    fn a_point_gets_its_position_within_the_standard_deviation() {
+        let flight = flight(1.0);
+        let options = MetricOptions::default();
+        let mut georeferencer = Georeferencer::new(flight.feed.clone());
+        georeferencer.update(&flight.update(0.0, &options));
+        assert_eq!(georeferencer.problem(), None);
+        let found = georeferencer.found().unwrap();
+        let center = flight.model.images.values().nth(30).unwrap().cam_from_world.center();
+        let observed = ObservedPoint { point: center + vector![0.0, 0.0, 5.0], ..camera(center) };
+        let truth = flight.map.to_geodetic(flight.enu_from_world * observed.point);
+        let position = found.position(&observed, 0.0);
+        let frame = LocalFrame::at(truth);
+        let error = frame.from_geodetic(Geodetic {
+            latitude_deg: position.latitude,
+            longitude_deg: position.longitude,
+            height_m: position.height.unwrap(),
+        });
+        let (horizontal, vertical) = (position.horizontal_std, position.vertical_std.unwrap());
+        assert!(error.xy().coords.norm() < 2.5 * horizontal && error.z.abs() < 2.5 * vertical, "{error} {position:?}");
+        assert!((1.0..8.0).contains(&horizontal) && (position.distance - 50.0).abs() < 5.0, "{position:?}");
+        // The offset between the clocks is estimated to some tenths of a second.
+        let utc = found.utc(12.5).unwrap();
+        assert!(utc.starts_with("2024-06-01T12:00:12."), "{utc}");
+        // The path goes on, and the maps drift.
+        assert!(found.position(&observed, 0.01).horizontal_std > horizontal);
+        let scale = georeferencer.scale(0.0).unwrap();
+        assert!((scale.log_scale - 10f64.ln()).abs() < 3.0 * scale.std && scale.std < 0.05, "{scale:?}");
+        assert_eq!((scale.kind, georeferencer.scale(0.01).unwrap().std > 0.1), (Kind::Telemetry, true));
+    }
+
+    #[test]
+    fn velocities_turn_to_the_east_and_north() {
+        let flight = flight(0.01);
+        let options = MetricOptions::default();
+        let mut georeferencer = Georeferencer::new(flight.feed.clone());
+        georeferencer.update(&flight.update(0.0, &options));
+        let found = georeferencer.found().unwrap();
+        // A local frame that is the one of the maps.
+        let local = MetricFrame {
+            scale: 1.0,
+            rotation_wxyz: [1.0, 0.0, 0.0, 0.0],
+            translation: [0.0; 3],
+            ..found.frame.clone()
+        };
+        let velocity = flight.enu_from_world.rotation.inverse() * vector![0.0, 0.7, 0.0];
+        let still = found.position(&camera(point![0.0, 0.0, 0.0]), 0.0);
+        let moving = found.moving(still.clone(), &local, velocity.into(), 0.05, Some(1.0));
+        let [east, north, up] = moving.velocity.unwrap();
+        assert!(east.abs() < 0.1 && (north - 7.0).abs() < 0.1 && up.abs() < 0.1, "{moving:?}");
+        let course = moving.course_deg.unwrap();
+        assert!(course.min(360.0 - course) < 1.0 && moving.course_std_deg.unwrap() > 1.0, "{moving:?}");
+        assert_eq!(found.moving(still, &local, [0.0; 3], 0.05, None).course_deg, None);
+    }
+
+    #[test]
+    fn a_new_frame_has_no_georeference_until_it_is_aligned() {
+        let flight = flight(1.0);
+        let options = MetricOptions::default();
+        let mut georeferencer = Georeferencer::new(flight.feed.clone());
+        georeferencer.update(&flight.update(0.0, &options));
+        georeferencer.restart();
+        assert!(georeferencer.found().is_none() && georeferencer.scale(0.0).is_none());
+        let short = Update { frames: &flight.frames[..4], ..flight.update(0.0, &options) };
+        georeferencer.update(&short);
+        assert!(georeferencer.found().is_none() && georeferencer.problem().unwrap().contains("positions"));
+    }
+}
