@@ -21,6 +21,9 @@ from measure import PROGRAM, paced
 
 def one(video: Path, out: Path, seconds: float, flags: list[str]) -> tuple[int, int]:
     """Kills one run; gives the size of its recording and the number of its lines."""
+    # A program that is killed before it has begun leaves the files of the one before.
+    for earlier in [*out.glob("recording.*"), out / "live.jsonl"]:
+        earlier.unlink(missing_ok=True)
     command = [PROGRAM, "live", "-", "--output", str(out), "--overwrite", "--no-final-run", "--quiet", *flags]
     program = subprocess.Popen(command, stdin=subprocess.PIPE)
     source, sent = paced(video, None), bytearray()
@@ -47,7 +50,7 @@ def one(video: Path, out: Path, seconds: float, flags: list[str]) -> tuple[int, 
     if not recordings:
         return 0, 0
     data = recordings[0].read_bytes()
-    assert bytes(sent[: len(data)]) == data, "the recording is not what was sent"
+    assert bytes(sent[: len(data)]) == data, f"recorded {len(data)} bytes are not the first of {len(sent)} sent"
     if len(data) > 1 << 16:
         decoded = subprocess.run(
             [

@@ -1,11 +1,11 @@
 //! Vehicles while the camera records: one pass through the frames of a recording that still grows.
 //!
 //! The newest frame is taken (`frames.rs`); vehicles are detected and followed on a thread (`perception.rs`), while
-//! points of the frame before are tracked on another (`window.rs`), by the objects that a run uses. A worker reconstructs the window of the last ten
-//! seconds with the batch mapper, in the frame of the maps before (`map.rs`). Between two maps every frame is
-//! registered by resection, and the lower edges of the masks give provisional positions on the local ground planes; a
-//! frame that leaves the window gets its final ones (`vehicles.rs`). What does not keep up is reduced in a fixed order
-//! (`load.rs`). `docs/live.md` has limits and figures.
+//! points of the frame before are tracked on another (`window.rs`), by the objects that a run uses. A worker
+//! reconstructs the window of the last ten seconds with the batch mapper, in the frame of the maps before (`map.rs`).
+//! Between two maps every frame is registered by resection, and the lower edges of the masks give provisional positions
+//! on the local ground planes; a frame that leaves the window gets its final ones (`vehicles.rs`). What does not keep
+//! up is reduced in a fixed order (`load.rs`). `docs/live.md` has limits and figures.
 //!
 //! Nothing grows with the duration: the window is bounded, the queues have length one.
 
