@@ -94,7 +94,8 @@ class Fixes(threading.Thread):
         for time_s, position in zip(times, at + bias + noise.normal(0, std_m / 5, at.shape), strict=True):
             stamp = datetime.fromtimestamp(1717243200 + time_s, UTC).isoformat(timespec="milliseconds")
             latitude, longitude, height = geodetic(position)
-            text = f"{stamp.replace('+00:00', 'Z')},{latitude:.8f},{longitude:.8f},{height:.3f},{std_m:.2f},{std_m:.2f}\n"
+            place = f"{latitude:.8f},{longitude:.8f},{height:.3f}"
+            text = f"{stamp.replace('+00:00', 'Z')},{place},{std_m:.2f},{std_m:.2f}\n"
             self.rows.append((time_s, text))
         os.mkfifo(pipe)
 

@@ -15,7 +15,7 @@ pub fn end_with_parent(command: &mut Command) {
         // SAFETY: between fork and exec only calls that are safe in a signal handler may run. This is one system call,
         // which uses no memory of the parent's.
         unsafe {
-            command.pre_exec(|| Ok(set_parent_process_death_signal(Some(Signal::TERM))?));
+            command.pre_exec(|| Ok(set_parent_process_death_signal(Some(Signal::KILL))?));
         }
     }
     #[cfg(not(target_os = "linux"))]
