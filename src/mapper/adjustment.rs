@@ -13,7 +13,9 @@ use crate::mapper::MapperError;
 pub enum Scope {
     /// All views and points.
     Everything,
-    /// The same, as far as it takes to measure the noise and to tell which observations are wrong.
+    /// All points; no view is free.
+    Points,
+    /// All views and points, as far as it takes to measure the noise and to tell which observations are wrong.
     Roughly,
     /// All views, and in each about so many points: the longest tracks of every part of the image.
     Selected {
@@ -44,7 +46,7 @@ impl Scope {
     pub fn limits(&self, options: &Options) -> (usize, f64) {
         match self {
             Self::Stretch(stretch) => stretch.limits,
-            Self::Everything | Self::Selected { .. } => (30, 1e-6),
+            Self::Everything | Self::Points | Self::Selected { .. } => (30, 1e-6),
             Self::Roughly => (30, options.coarse_tolerance),
             Self::Around(_) => (10, 1e-4),
         }
@@ -155,8 +157,9 @@ pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (V
     let mut tracks = vec![false; map.table.tracks.len()];
     let mut free_views = vec![true; map.poses.len()];
     match scope {
-        Scope::Everything | Scope::Roughly => {
-            tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some())
+        Scope::Everything | Scope::Roughly | Scope::Points => {
+            tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some());
+            free_views.fill(!matches!(scope, Scope::Points));
         }
         Scope::Selected { per_view } => select_tracks(map, *per_view, map.registered(), &mut tracks),
         Scope::Stretch(stretch) => {

@@ -50,13 +50,13 @@ use crate::camera::Camera;
 use crate::checks::{Checked, ordered, within};
 use crate::features::tracks::TrackTable;
 use crate::geometry::triangulation::Limits;
-use crate::math::RobustLoss;
+use crate::math::{Rigid3, RobustLoss};
 use crate::scene::Reconstruction;
 pub use error::MapperError;
 pub use focal_changes::focal_changes;
-use incremental_mapper::SubMap;
+use incremental_mapper::{IncrementalMapper, SubMap};
 use initialization::InitializationAttempt;
-use map::MapPoints;
+use map::{Map, MapPoints};
 
 /// Options of the mapper.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -293,6 +293,30 @@ pub fn reconstruct_consuming(
     let TrackTable { views, tracks } = table;
     drop(tracks);
     Ok(with_views(found, report, views.into_iter()))
+}
+
+/// Points of a target that stands still in front of known cameras.
+///
+/// * `poses` – camera from world, by view.
+///
+/// Returns the model in the frame of the cameras, and the share of the observations that it explains.
+///
+/// # Errors
+/// As [`reconstruct`].
+pub fn triangulate(
+    table: &TrackTable,
+    cameras: &[Camera],
+    poses: &[Option<Rigid3>],
+    options: &Options,
+) -> Result<(Reconstruction, Report, f64), MapperError> {
+    options.check()?;
+    let options = &options.at_focal(cameras);
+    let map = Map::new(table, cameras).knowing(Intrinsics::FIXED.into());
+    let mut mapper = IncrementalMapper::new(map, options, 0);
+    let explained = mapper.triangulate_from(poses)?;
+    let (map, report) = mapper.into_result();
+    let (model, report) = with_views(Some(map.into_found()), report, table.views.iter().cloned());
+    Ok((model, report, explained))
 }
 
 fn with_views(

@@ -5,6 +5,7 @@ use rand::Rng as _;
 use rand_distr::{Distribution, Normal};
 
 mod far_vehicle;
+mod held_poses;
 mod joints;
 mod lens;
 mod long_video;

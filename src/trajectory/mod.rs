@@ -74,6 +74,6 @@ use least_squares::LeastSquaresMethod;
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
 pub use smoother::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
-pub use stationary::RelativeMotion;
+pub use stationary::{RelativeMotion, motion_by_shaking, place_stationary};
 pub use verdict::{Candidate, verdicts, with_reason};
 pub use views::{View, Views};

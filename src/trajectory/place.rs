@@ -157,7 +157,11 @@ impl Evidence<'_> {
         PlacedObject { object, adjustment, trajectory, pose_covariances, dropped }
     }
 
-    fn trajectory(&self, object: &Reconstruction, scale: ScaleEstimate) -> Result<ObjectTrajectory, ScaleError> {
+    pub(super) fn trajectory(
+        &self,
+        object: &Reconstruction,
+        scale: ScaleEstimate,
+    ) -> Result<ObjectTrajectory, ScaleError> {
         let description = self.description.clone();
         let mut trajectory = assemble(description, self.background, object, scale, self.frames, Unit::Background);
         for plane in self.background.paired_images(object).iter().filter_map(|(frame, ..)| self.planes.get(frame)) {

@@ -16,7 +16,7 @@ use crate::scene::{FrameId, Image, ObjectPose, Reconstruction};
 
 /// Least standard deviation of an observation, pixels: corners are not found better, and of the few that are left at
 /// the end of a track the residuals are fitted away.
-const MIN_PIXEL_STD: f64 = 0.3;
+pub(super) const MIN_PIXEL_STD: f64 = 0.3;
 /// Fewest poses of a trajectory that keeps only the sure ones: fewer have no smooth path.
 const MIN_POSES: usize = 4;
 

@@ -3,6 +3,7 @@
 use std::ops::Range;
 
 mod finish;
+mod held_poses;
 mod loop_closures;
 mod new_camera;
 mod pose_outliers;

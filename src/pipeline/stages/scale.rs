@@ -22,8 +22,8 @@ use crate::scene::{
     ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
-    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Outlines, Silhouette, Subject,
-    extents,
+    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Outlines, PlacedObject, Silhouette,
+    Subject, extents,
 };
 use movement::TrajectoryEvidence;
 
@@ -184,28 +184,29 @@ impl<'a, 'r> Scene<'a, 'r> {
     }
 
     /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
-    fn revise(&self, tracked: &mut TrackedObject, trajectory: &mut ObjectTrajectory, object: &Reconstruction) {
+    ///
+    /// * `shares_cameras` – the model was triangulated from the background's cameras.
+    fn revise(
+        &self,
+        tracked: &mut TrackedObject,
+        placed: &mut PlacedObject,
+        evidence: &Evidence,
+        shares_cameras: bool,
+    ) {
         let options = &self.run.options.scale;
-        let evidence = TrajectoryEvidence::of(trajectory, &tracked.gaps, self.background);
-        if options.stationary != StationaryVehicles::All
-            && let Some(by_points) = self.by_points.get(&tracked.id)
-        {
-            tracked.movement = movement::revised(by_points, evidence.as_ref());
+        let by_points = self.by_points.get(&tracked.id).filter(|_| options.stationary != StationaryVehicles::All);
+        if let Some(by_points) = by_points {
+            let trajectory = placed.trajectory.as_ref().ok();
+            let motion = trajectory.and_then(|found| TrajectoryEvidence::of(found, &tracked.gaps, self.background));
+            let by_shaking =
+                shares_cameras.then(|| trajectory::motion_by_shaking(evidence.object, self.frames)).flatten();
+            tracked.movement = movement::at_rest_by_shaking(by_points, by_shaking)
+                .unwrap_or_else(|| movement::revised(by_points, motion.as_ref()));
         }
-        if tracked.movement.state != Movement::Stationary || options.stationary == StationaryVehicles::None {
-            return;
-        }
-        let motion = trajectory::RelativeMotion::of(&trajectory.poses, self.background);
-        if let Some(scale) = motion.and_then(|motion| motion.constrained(&trajectory.scale, options.max_relative_std)) {
-            let again = trajectory::assemble(
-                description(tracked),
-                self.background,
-                object,
-                scale,
-                self.frames,
-                Unit::Background,
-            );
-            *trajectory = ObjectTrajectory { ground: std::mem::take(&mut trajectory.ground), ..again };
+        let is_stationary = shares_cameras && tracked.movement.state == Movement::Stationary;
+        let found = is_stationary.then(|| trajectory::place_stationary(evidence, placed, options.max_relative_std));
+        if let Some(found) = found.flatten() {
+            *placed = found;
         }
     }
 
@@ -233,13 +234,13 @@ impl<'a, 'r> Scene<'a, 'r> {
             frames: self.frames,
             focal_std: self.focal_std,
         };
-        let placed = trajectory::place(&evidence, &run.options.scale);
+        let mut placed = trajectory::place(&evidence, &run.options.scale);
+        self.revise(tracked, &mut placed, &evidence, report.shares_cameras);
         background::store(run, &run.workspace.object(tracked.id), &placed.object)?;
         outcome.outputs.push(run.workspace.object(tracked.id));
         describe_adjustment(tracked.id, &placed.adjustment, outcome);
         match placed.trajectory {
-            Ok(mut trajectory) => {
-                self.revise(tracked, &mut trajectory, &placed.object);
+            Ok(trajectory) => {
                 outcome.outputs.push(point_cloud::object(run, &trajectory, &placed.object)?);
                 warn_of_scale(&trajectory, outcome);
                 warn_of_dropped(tracked.id, &placed.dropped, outcome);

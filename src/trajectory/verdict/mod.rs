@@ -24,7 +24,6 @@ mod measures;
 mod path;
 mod scale;
 mod size;
-mod stationary;
 mod support;
 #[cfg(test)]
 mod tests;
@@ -68,9 +67,7 @@ pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[
     let mut reasons: Vec<Vec<Reason>> =
         candidates.iter().zip(&measures).map(|(candidate, measures)| alone(candidate, measures)).collect();
     let yardsticks = size::yardsticks(candidates, &measures, &reasons);
-    let errors = stationary::model_errors(candidates, &measures);
     for k in 0..candidates.len() {
-        reasons[k].extend(stationary::model(&candidates[k], &measures[k], &errors));
         let class = class::of(&candidates[k].trajectory.class);
         let found = size::beside_others(k, &yardsticks).into_iter();
         reasons[k].extend(found.chain(size::speed(&measures[k], &class, time_base)));

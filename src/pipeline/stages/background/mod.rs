@@ -235,6 +235,33 @@ pub(in crate::pipeline) fn reconstruct(
         let used: BTreeSet<CameraId> = model.images.values().map(|image| image.camera).collect();
         model.cameras.retain(|id, _| used.contains(id));
     }
+    let described = described(&model, &report);
+    Ok((model, described))
+}
+
+/// The model of a target that stands still in front of the cameras of the background; `None` where its points move.
+pub(in crate::pipeline) fn triangulate(
+    run: &Run,
+    table: &crate::features::TrackTable,
+    camera: Camera,
+    options: &mapper::Options,
+    background: &Reconstruction,
+) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
+    // Points of a vehicle that stands are explained but for reflections, shadows and what is seen through windows.
+    const STILL_SHARE: f64 = 0.8;
+    let pose = |view: &crate::features::tracks::View| Some(background.images.get(&view.image)?.cam_from_world);
+    let poses: Vec<_> = table.views.iter().map(pose).collect();
+    let (model, report, explained) =
+        on_threads(run.options.threads, || mapper::triangulate(table, &[camera], &poses, options))??;
+    let is_still = explained >= STILL_SHARE && model.points.len() >= options.min_initial_inliers / 2;
+    tracing::debug!("{} points from the background's cameras explain {explained:.3}", model.points.len());
+    Ok(is_still.then(|| {
+        let described = ModelReport { shares_cameras: true, ..described(&model, &report) };
+        (model, described)
+    }))
+}
+
+fn described(model: &Reconstruction, report: &mapper::Report) -> ModelReport {
     let unregistered = report
         .views
         .iter()
@@ -251,9 +278,9 @@ pub(in crate::pipeline) fn reconstruct(
         remarks: report.remarks.iter().map(warning_of_remark).collect(),
         ..ModelReport::default()
     };
-    described.describe_points(&model);
-    described.describe_cameras(&model, &report.focal_deviations);
-    Ok((model, described))
+    described.describe_points(model);
+    described.describe_cameras(model, &report.focal_deviations);
+    described
 }
 
 /// Puts a model in its public place, whole.

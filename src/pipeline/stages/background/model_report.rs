@@ -31,6 +31,9 @@ pub struct ModelReport {
     pub mean_error_px: Option<f64>,
     /// Weaknesses of the model: a planar scene, forward motion, ...
     pub remarks: Vec<Warning>,
+    /// True if its cameras are those of the background: the target is seen as something that does not move.
+    #[serde(default)]
+    pub shares_cameras: bool,
     /// Points that were taken out because they project next to the object's masks.
     pub num_outside_masks: usize,
     /// The first of its cameras.

@@ -15,16 +15,20 @@ use serde_json::{Value, json};
 
 use super::background::{self, ModelReport};
 use super::track;
+use super::track::movement::PointFindings;
 use super::{follow, ground};
 use crate::camera::Camera;
 use crate::ground::HoveringGround;
 use crate::io::interchange::colmap;
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
+use crate::motion::MovementReason;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::{hovering, order};
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, Topic, TrackedObject};
+use crate::scene::{
+    BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, StationaryVehicles, Topic, TrackedObject,
+};
 use footing::Footing;
 pub use footing::object_pose_priors;
 
@@ -49,6 +53,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         "options": objects.mapper,
         "ground": run.options.ground,
         "hovering": background::hovers(run).then(|| hovering::cache_key(run)).transpose()?,
+        "stationary": run.options.scale.stationary,
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
     });
@@ -62,7 +67,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let (background, _) = background::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
     let hovers = background.points.is_empty();
-    let place = ObjectContext { camera, hovers, footing: Footing::new(run, &background)? };
+    let by_points = track::movement::by_points(run)?;
+    let place =
+        ObjectContext { camera, hovers, background: &background, by_points, footing: Footing::new(run, &background)? };
     run.workspace.write_state(HOVERING, &place.footing.hovering)?;
     outcome.outputs.push(run.workspace.state(HOVERING));
     // The frames of every object, and then all frames again for the masks.
@@ -175,7 +182,23 @@ struct ObjectContext<'a> {
     camera: Option<Camera>,
     /// True if the camera does not translate.
     hovers: bool,
+    background: &'a Reconstruction,
+    by_points: PointFindings,
     footing: Footing<'a>,
+}
+
+impl ObjectContext<'_> {
+    /// Returns true if a vehicle may share the cameras of the background, and that is not left out on request.
+    fn may_be_stationary(&self, run: &Run, object: &TrackedObject) -> bool {
+        use MovementReason::{MovesForATime, PointsMove};
+        let moves = || matches!(self.by_points.get(&object.id)?.reason, Some(PointsMove | MovesForATime)).then_some(());
+        let is_possible = match run.options.scale.stationary {
+            StationaryVehicles::None => false,
+            StationaryVehicles::Found => moves().is_none(),
+            StationaryVehicles::All => true,
+        };
+        is_possible && !self.hovers
+    }
 }
 
 /// One object's reconstruction, which is still to be compared with the masks; or its model that was given.
@@ -201,9 +224,19 @@ fn one_object(
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            let cameras = [(camera, mapper::Intrinsics::FIXED)];
-            let poses = if options.pose_priors { place.footing.poses(id, &table) } else { None };
-            background::reconstruct(run, table, &cameras, &options, poses.as_ref(), watch)?
+            let shared = if place.may_be_stationary(run, object) {
+                background::triangulate(run, &table, camera, &options, place.background)?
+            } else {
+                None
+            };
+            match shared {
+                Some(found) => found,
+                None => {
+                    let cameras = [(camera, mapper::Intrinsics::FIXED)];
+                    let poses = if options.pose_priors { place.footing.poses(id, &table) } else { None };
+                    background::reconstruct(run, table, &cameras, &options, poses.as_ref(), watch)?
+                }
+            }
         }
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };

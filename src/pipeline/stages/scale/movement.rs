@@ -7,7 +7,9 @@
 use crate::math::rounding::with_std;
 use crate::motion::{CLEAR_ODDS, MovementReason};
 use crate::pipeline::stages::track::movement::PointFinding;
-use crate::scene::{FrameId, Gap, Movement, MovementFinding, ObjectTrajectory, ReasonKind, Reconstruction, Verdict};
+use crate::scene::{
+    FrameId, Gap, Movement, MovementFinding, ObjectTrajectory, ReasonKind, Reconstruction, ScaleMethod, Verdict,
+};
 use crate::trajectory::RelativeMotion;
 
 /// Evidence of a trajectory: relative motion in the whole, and the greatest odds of motion of a piece between gaps.
@@ -21,13 +23,18 @@ pub(super) struct TrajectoryEvidence {
 }
 
 impl TrajectoryEvidence {
-    /// `None` where the scale ratio has no standard deviation or the trajectory too few positions.
+    /// `None` where the scale ratio has no standard deviation, the trajectory too few positions, or no outline shows the
+    /// contact with the ground: of a vehicle behind others the lowest points are not near it.
     ///
     /// * `gaps` – of the track: across them it may have gone over to another vehicle.
     pub(super) fn of(trajectory: &ObjectTrajectory, gaps: &[Gap], background: &Reconstruction) -> Option<Self> {
         // Where the focal length is uncertain, the camera moves forward, and an error of it changes ratio and model
         // inversely: depths, and so the motion along the line of sight, stay.
         let scale = &trajectory.scale;
+        let is_without_contact = scale.support.as_ref().is_some_and(|support| support.frames_with_outline == 0);
+        if is_without_contact && scale.method == ScaleMethod::Joint {
+            return None;
+        }
         let ratio_std = scale.shares.map_or(scale.std? / scale.ratio, |shares| shares.given_focal());
         let whole = RelativeMotion::of(&trajectory.poses, background)?;
         let piece_of = |frame: FrameId| gaps.iter().filter(|gap| frame >= gap.first).count();
@@ -43,6 +50,21 @@ impl TrajectoryEvidence {
         let [piece, whole] = [&self.piece, &self.whole].map(|motion| motion.odds_of_motion(self.ratio_std));
         if piece > 1.0 { (piece, &self.piece) } else { (whole, &self.whole) }
     }
+}
+
+/// Stationary, if a camera that shakes shows it; `None` where points move or the camera is too calm.
+///
+/// * `motion` – relative motion by the camera's shaking.
+pub(super) fn at_rest_by_shaking(by_points: &PointFinding, motion: Option<RelativeMotion>) -> Option<MovementFinding> {
+    use MovementReason::{MovesForATime, PointsMove};
+    let motion = motion.filter(|_| !matches!(by_points.reason, Some(PointsMove | MovesForATime)))?;
+    let odds = motion.odds_of_motion(0.0);
+    let reason = format!(
+        "seen by the shaking of the camera at {} times the inverse of the distance that it has if stationary (odds of \
+         motion {odds:.2}:1)",
+        with_std(motion.slope, motion.std)
+    );
+    (odds <= 1.0 / CLEAR_ODDS).then_some(MovementFinding { state: Movement::Stationary, reason })
 }
 
 /// The finding by points, revised by the trajectory.
@@ -91,7 +113,7 @@ mod tests {
     use super::*;
 
     fn evidence(slope: f64, piece: f64) -> TrajectoryEvidence {
-        let motion = |slope| RelativeMotion { slope, std: 0.02, residual: 0.005 };
+        let motion = |slope| RelativeMotion { slope, std: 0.02 };
         TrajectoryEvidence { whole: motion(slope), piece: motion(piece), ratio_std: 0.06 }
     }
 

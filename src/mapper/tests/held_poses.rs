@@ -1,0 +1,39 @@
+//! Points that are triangulated from known poses.
+
+use super::*;
+
+/// What is found of a world whose points move by `step` from view to view.
+fn found(step: f64) -> (Reconstruction, f64, World) {
+    let mut world = world(40, 120);
+    // A vehicle that moves by itself is seen as by cameras that move the other way.
+    let known: Vec<Option<Rigid3>> = world.poses.iter().copied().map(Some).collect();
+    for (view, pose) in world.poses.iter_mut().enumerate() {
+        let moved = pose.center() - Vector3::new(0.0, 0.0, step * view as f64);
+        *pose = Rigid3::from_rotation_and_center(pose.rotation, moved);
+    }
+    let table = tracks(&world, 0.3, 0, &mut seeded_rng(7, 7));
+    let (model, report, explained) = triangulate(&table, &[world.camera], &known, &Options::object()).unwrap();
+    assert_eq!(report.num_registered(), 40);
+    (model, explained, world)
+}
+
+#[test]
+fn points_at_rest_are_where_they_are_and_explain_everything() {
+    let (model, explained, world) = found(0.0);
+    assert!(explained > 0.99, "{explained}");
+    assert!(model.points.len() > 110);
+    for point in model.points.values() {
+        let error = world.points.iter().map(|truth| (truth - point.position).norm()).fold(f64::INFINITY, f64::min);
+        assert!(error < 0.1, "{error}");
+    }
+    for (id, image) in &model.images {
+        assert_eq!(image.cam_from_world, world.poses[id.0 as usize - 1]);
+    }
+}
+
+#[test]
+fn moving_points_do_not_meet() {
+    // Across the path of the cameras, by a tenth of their own step: 5 px of 10 cm at 18 m between two views.
+    let (_, explained, _) = found(0.06);
+    assert!(explained < 0.8, "{explained}");
+}
