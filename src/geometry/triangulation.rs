@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 use crate::bundle::Whitening;
 use crate::camera::Camera;
-use crate::math::Rigid3;
+use crate::math::{Rigid3, widest_angle};
 
 /// One view of the point.
 #[derive(Clone, Copy, Debug)]
@@ -81,16 +81,6 @@ pub fn triangulate(views: &[View<'_>], limits: &Limits) -> Option<Triangulated> 
     let centers = || rays.iter().zip(&inliers).filter(|(_, inlier)| **inlier).map(|((center, _), _)| *center);
     let enough = count(&inliers) >= 2 && widest_angle(point, centers()) >= limits.min_angle;
     enough.then_some(Triangulated { position: point, inliers })
-}
-
-/// The largest angle at a point between the directions to the first or the last of the centres and any other: for a
-/// path of cameras the widest one, at linear cost.
-pub fn widest_angle(point: Point3<f64>, centers: impl Iterator<Item = Point3<f64>>) -> f64 {
-    let directions: Vec<_> = centers.map(|c| (c - point).normalize()).collect();
-    let ends = [directions.first(), directions.last()];
-    let cosine =
-        ends.into_iter().flatten().flat_map(|end| directions.iter().map(move |d| end.dot(d))).fold(1.0f64, f64::min);
-    cosine.clamp(-1.0, 1.0).acos()
 }
 
 fn count(flags: &[bool]) -> usize {

@@ -14,8 +14,8 @@ use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::features::tracks::{self, Feature, Track, TrackTable};
 use crate::geometry::resection::PixelsAndPoints;
-use crate::geometry::triangulation::{self, Limits, View, widest_angle};
-use crate::math::{RAYLEIGH_MEDIAN, Rigid3, upper_median};
+use crate::geometry::triangulation::{self, Limits, View};
+use crate::math::{RAYLEIGH_MEDIAN, Rigid3, upper_median, widest_angle};
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
 /// A track whose point is known.

@@ -28,8 +28,7 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use super::place::{Adjustment, Evidence, PlacedObject};
 use super::pose_error::MIN_PIXEL_STD;
 use super::smoother::DRIFT;
-use crate::geometry::triangulation::widest_angle;
-use crate::math::{median, student_4};
+use crate::math::{median, student_4, widest_angle};
 use crate::scene::{
     CameraPathRatio, Frame, Image, ImageId, ObjectPose, Point3d, Ratios, Reconstruction, ScaleEstimate, ScaleMethod,
     ScaleShares, TrackElement,

@@ -5,8 +5,7 @@
 //! rays become parallel moves off to infinity. Neither has a reprojection error that means anything.
 
 use super::Map;
-use crate::geometry::triangulation::widest_angle;
-use crate::math::Rigid3;
+use crate::math::{Rigid3, widest_angle};
 
 /// Smallest parallax of a point, radians: less than a thousandth of a pixel at a focal length of 1000 px, so that no
 /// measurement tells it from infinity.
