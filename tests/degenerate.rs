@@ -221,7 +221,7 @@ proptest! {
                 prop_finite!(found);
             }
             let centers = seen.iter().map(|(pose, _)| pose.center());
-            prop_finite!(triangulation::widest_angle(*point, centers));
+            prop_finite!(tractrix::math::widest_angle(*point, centers));
         }
         for pose in &poses {
             let seen: Vec<(Point2<f64>, Point3<f64>)> =
