@@ -5,18 +5,18 @@
 //! may also belong to one that moves along a scaled copy of the camera's path, oᵢ = const + (1 − λ) cᵢ, which no image
 //! tells from it. Two things do:
 //!
-//! * *The ground.* With the camera centers cᵢ and the vehicle's positions pᵢ at the scale ratio r̂ that the ground gives,
-//!   both in the background's frame,
+//! * *The ground.* With the camera centers cᵢ and the vehicle's positions pᵢ at the scale ratio r̂ that the ground
+//!   gives, both in the background's frame,
 //!
 //!   ```text
 //!   pᵢ − cᵢ = a − s cᵢ + eᵢ,    s = (1 − v) r̂ / r
 //!   ```
 //!
-//!   for a vehicle that moves at v times the camera's velocity, r the true ratio. A stationary vehicle has s = r̂ / r: 1
-//!   within the error of r̂ and that of s. For a moving vehicle v has Cauchy's distribution, that of the ratio of two
+//!   for a vehicle that moves at v times the camera's velocity, r the true ratio. A stationary vehicle has s = r̂ / r:
+//!   1 within the error of r̂ and that of s. For a moving vehicle v has Cauchy's distribution, that of the ratio of two
 //!   equal normal velocities. The ratio of both likelihoods decides.
-//! * *A camera that shakes* ([`motion_by_shaking`]). No vehicle moves along a copy of the path of a camera in somebody's
-//!   hand.
+//! * *A camera that shakes* ([`motion_by_shaking`]). No vehicle moves along a copy of the path of a camera in
+//!   somebody's hand.
 //!
 //! Derivation and figures: docs/maths/motion.md, section *Moving or stationary trajectory*.
 
@@ -230,7 +230,7 @@ fn widest_angle_of(point: &Point3d, object: &Reconstruction) -> f64 {
     widest_angle(point.position, images.map(|image| image.cam_from_world.center()))
 }
 
-/// How far the rays to the points of a model turn between their cameras.
+/// Turn of the rays to the points of a model between their cameras.
 struct ModelParallax {
     /// Median of the widest angles at its points, radians.
     parallax: f64,

@@ -14,7 +14,7 @@ use crate::scene::ObjectId;
 /// Time between two updates of a vehicle, seconds.
 const PERIOD_S: f64 = 1.0;
 /// Part of it by which one may come early: time stamps are rounded.
-const EARLY: f64 = 0.1;
+const EARLY: f64 = 0.01;
 /// Time after which a vehicle that is not seen is forgotten, seconds.
 const FORGOTTEN_S: f64 = 60.0;
 

@@ -23,8 +23,8 @@ pub(super) struct TrajectoryEvidence {
 }
 
 impl TrajectoryEvidence {
-    /// `None` where the scale ratio has no standard deviation, the trajectory too few positions, or no outline shows the
-    /// contact with the ground: of a vehicle behind others the lowest points are not near it.
+    /// `None` where the scale ratio has no standard deviation, the trajectory too few positions, or no outline shows
+    /// the contact with the ground: of a vehicle behind others the lowest points are not near it.
     ///
     /// * `gaps` – of the track: across them it may have gone over to another vehicle.
     pub(super) fn of(trajectory: &ObjectTrajectory, gaps: &[Gap], background: &Reconstruction) -> Option<Self> {
