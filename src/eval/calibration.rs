@@ -59,7 +59,7 @@ pub struct Case {
     pub object_px: Option<f64>,
     /// Largest less least height of the camera over the target, as a share of the mean.
     pub climb: Option<f64>,
-    /// RMS residual of the camera path seen from a stationary vehicle's model, as a share of the vehicle's distance;
+    /// Mean error of a stationary vehicle's points seen by the background's cameras, as a share of its distance;
     /// `None` for other vehicles.
     #[serde(default)]
     pub residual: Option<f64>,

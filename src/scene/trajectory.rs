@@ -55,18 +55,18 @@ impl ScaleEstimate {
     }
 }
 
-/// Scale ratio of a stationary vehicle by the camera path, which its model and the background both show.
+/// Scale ratio of a stationary vehicle by the cameras of the background, from which its points are triangulated.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraPathRatio {
-    /// Ratio of the two camera paths.
+    /// The ratio: one in results of this version, in older ones that of two camera paths.
     pub ratio: f64,
     /// Its standard deviation.
     pub std: f64,
-    /// RMS of the residual between the two paths, as a share of the vehicle's distance: the error of its model.
+    /// Mean error of the points, at least 0.3 pixels, as a share of the vehicle's distance.
     pub residual: f64,
-    /// The ratio without the camera path.
+    /// Ratio by the ground.
     pub ratio_without: f64,
-    /// The standard deviation without the camera path; `None` where the method gives none.
+    /// Standard deviation of the ratio by the ground; `None` where the method gives none.
     pub std_without: Option<f64>,
     /// True if the ratio is undetermined without the camera path.
     pub degenerate_without: bool,

@@ -64,8 +64,8 @@ pub(super) struct Args {
 
     /// Stationary vehicles of the clips are references: `all` vehicles, or those `found` to be stationary
     ///
-    /// The camera path seen from a stationary vehicle's model determines its scale ratio. The table has the residual
-    /// of each, and the error of its ratio without the camera path.
+    /// The background's cameras, from which its points are triangulated, determine the scale ratio of a stationary
+    /// vehicle. The table has the mean error of the points, and the error of the ratio by the ground.
     #[arg(long, value_name = "WHICH", value_parser = stationary, requires = "clip")]
     pub(super) stationary: Option<StationaryVehicles>,
 

@@ -34,7 +34,7 @@ fn points_at_rest_are_where_they_are_and_explain_everything() {
 
 #[test]
 fn moving_points_do_not_meet() {
-    // Across the path of the cameras, by a tenth of their own step: 5 px of 10 cm at 18 m between two views.
+    // Across the path of the cameras, by 4 px from one view to the next.
     let (_, explained, _) = found(0.06);
     assert!(explained < 0.8, "{explained}");
 }

@@ -69,7 +69,7 @@ pub fn calibration(calibration: &Calibration) -> String {
          \n\
          {AIMS} Intervals: 95 % for independent cases (Wilson); cases of one sequence are not fully independent. \
          `factor`: factor by which reported standard deviations would have to be multiplied, by the median. \
-         `residual`: of the camera path seen from a stationary vehicle, as a share of its distance. \
+         `residual`: mean error of a stationary vehicle's points, as a share of its distance. \
          `overconfident`: error above three standard deviations, with verdict good or fair.\n\
          \n\
          {}\n\
