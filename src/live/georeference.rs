@@ -360,7 +360,7 @@ mod tests {
         georeferencer.update(&flight.update(0.0, &options));
         assert_eq!(georeferencer.problem(), None);
         let found = georeferencer.found().unwrap();
-        let center = flight.model.images.values().nth(30).unwrap().cam_from_world.center();
+        let center = flight.model.images[&flight.frames[30].id.into()].cam_from_world.center();
         let observed = ObservedPoint { point: center + vector![0.0, 0.0, 5.0], ..camera(center) };
         let truth = flight.map.to_geodetic(flight.enu_from_world * observed.point);
         let position = found.position(&observed, 0.0);
