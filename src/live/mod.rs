@@ -37,6 +37,7 @@ pub use telemetry::TelemetryFeed;
 
 use crate::camera::Camera;
 use crate::features::FeatureError;
+use crate::ffi::memory;
 use crate::files::Growth;
 use crate::io::IoError;
 use crate::io::interchange::colmap;
@@ -317,6 +318,10 @@ impl Live<'_> {
             }
         }
         self.write(lines)?;
+        if map.purpose == Purpose::Final {
+            // Frames, points and maps of four threads come and go: what they leave free grows for hours otherwise.
+            memory::give_back();
+        }
         self.map = Some(map);
         Ok(())
     }

@@ -118,6 +118,7 @@ pub(super) fn place(
         object: &placed.object,
         background: &map.model,
         planes: &planes,
+        level: None,
         options: &options.scale,
     };
     let is_refuted = verdicts(&[candidate], TimeBase::Seconds, &[]).iter().any(|verdict| verdict.is_refuted());

@@ -22,8 +22,8 @@ use crate::scene::{
     ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
-    self, Adjustment, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Outlines, PlacedObject, Silhouette,
-    Subject, extents,
+    self, Adjustment, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription, Outlines,
+    PlacedObject, Silhouette, Subject, extents,
 };
 use movement::TrajectoryEvidence;
 
@@ -185,6 +185,9 @@ impl<'a, 'r> Scene<'a, 'r> {
 
     /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
     ///
+    /// Gives the planes on which a vehicle stands that the shaking of the camera shows to be stationary, if they are
+    /// not those around it.
+    ///
     /// * `shares_cameras` – the model was triangulated from the background's cameras.
     fn revise(
         &self,
@@ -192,22 +195,23 @@ impl<'a, 'r> Scene<'a, 'r> {
         placed: &mut PlacedObject,
         evidence: &Evidence,
         shares_cameras: bool,
-    ) {
+    ) -> Option<LevelledPlanes> {
         let options = &self.run.options.scale;
+        let mut is_shown = false;
         let by_points = self.by_points.get(&tracked.id).filter(|_| options.stationary != StationaryVehicles::All);
         if let Some(by_points) = by_points {
             let trajectory = placed.trajectory.as_ref().ok();
             let motion = trajectory.and_then(|found| TrajectoryEvidence::of(found, &tracked.gaps, self.background));
             let by_shaking =
                 shares_cameras.then(|| trajectory::motion_by_shaking(evidence.object, self.frames)).flatten();
-            tracked.movement = movement::at_rest_by_shaking(by_points, by_shaking)
-                .unwrap_or_else(|| movement::revised(by_points, motion.as_ref()));
+            let at_rest = movement::at_rest_by_shaking(by_points, by_shaking);
+            is_shown = at_rest.is_some();
+            tracked.movement = at_rest.unwrap_or_else(|| movement::revised(by_points, motion.as_ref()));
         }
         let is_stationary = shares_cameras && tracked.movement.state == Movement::Stationary;
         let found = is_stationary.then(|| trajectory::place_stationary(evidence, placed, options.max_relative_std));
-        if let Some(found) = found.flatten() {
-            *placed = found;
-        }
+        *placed = found.flatten()?;
+        is_shown.then(|| trajectory::planes_at_level(evidence, placed)).flatten()
     }
 
     /// Places one object that has a model.
@@ -235,7 +239,9 @@ impl<'a, 'r> Scene<'a, 'r> {
             focal_std: self.focal_std,
         };
         let mut placed = trajectory::place(&evidence, &run.options.scale);
-        self.revise(tracked, &mut placed, &evidence, report.shares_cameras);
+        let levelled = self.revise(tracked, &mut placed, &evidence, report.shares_cameras);
+        let level = levelled.as_ref().map(|levelled| levelled.height);
+        let planes = levelled.map_or_else(|| planes.clone(), |levelled| levelled.planes);
         background::store(run, &run.workspace.object(tracked.id), &placed.object)?;
         outcome.outputs.push(run.workspace.object(tracked.id));
         describe_adjustment(tracked.id, &placed.adjustment, outcome);
@@ -248,7 +254,7 @@ impl<'a, 'r> Scene<'a, 'r> {
                 let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
                 found.sizes.insert(tracked.id, size);
                 let tracked = tracked.clone();
-                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes });
+                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, level });
             }
             Err(reason) => {
                 outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
@@ -299,12 +305,14 @@ struct PlacedVehicle {
     tracked: TrackedObject,
     object: Reconstruction,
     planes: BTreeMap<FrameId, GroundPlane>,
+    /// Height to which the planes were moved.
+    level: Option<f64>,
 }
 
 impl PlacedVehicle {
     fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
-        let Self { trajectory, tracked, object, planes } = self;
-        Candidate { trajectory, tracked: Some(tracked), object, background, planes, options }
+        let Self { trajectory, tracked, object, planes, level } = self;
+        Candidate { trajectory, tracked: Some(tracked), object, background, planes, level: *level, options }
     }
 }
 

@@ -12,14 +12,18 @@ const SINKS: [f64; 2] = [0.25, 0.6];
 /// Spread of its height over the ground from frame to frame, as a share of the height of its top.
 const WANDERS: [f64; 2] = [0.08, 0.5];
 
-pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
+/// * `level` – height of the planes over those around it, which were moved to where the vehicle stands.
+pub(super) fn reasons(measures: &Measures, level: Option<f64>) -> Vec<Reason> {
     let Some(height) = measures.height else {
         return vec![Reason::doubts(Ground, 1.0, "no ground plane below it in any frame")];
     };
     if !(height > 0.0) {
         return vec![Reason::refutes(Ground, "all of its points are below the ground")];
     }
-    let stands = measures.bottom.and_then(|bottom| stands(bottom / height));
+    let stands = match level {
+        Some(level) => Some(levelled(level / height)),
+        None => measures.bottom.and_then(|bottom| stands(bottom / height)),
+    };
     let stays = spread(&measures.middles).and_then(|spread| stays(spread / height));
     [stands, stays].into_iter().flatten().collect()
 }
@@ -36,6 +40,16 @@ fn stands(bottom: f64) -> Option<Reason> {
         b if b < -SINKS[0] => Some(Reason::doubts(Ground, 1.0, sinks())),
         b => Some(Reason::supports(Ground, format!("on the ground: lowest points at {} of its height", percent(b)))),
     }
+}
+
+/// * `level` – height of the ground below it over the ground around it, in heights of its top.
+fn levelled(level: f64) -> Reason {
+    let side = if level < 0.0 { "below" } else { "above" };
+    let says = format!(
+        "stationary by the shaking of the camera: the ground below it is {} of its height {side} the ground around it",
+        percent(level.abs())
+    );
+    Reason::supports(Ground, says)
 }
 
 /// * `spread` – of its height over the ground along the path, in heights of its top.

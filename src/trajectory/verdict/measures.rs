@@ -111,12 +111,24 @@ fn finite_points(object: &Reconstruction) -> Vec<Point3<f64>> {
 fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [f64; 3])> {
     let of_frame = |pose: &ObjectPose| {
         let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
-        let mut heights: Vec<f64> =
-            points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect();
+        let mut heights = heights(plane, pose, points);
         let [bottom, middle, top] = [BOTTOM, 0.5, TOP].map(|share| finite_quantile(&mut heights, share));
         Some((pose.frame, [bottom?, middle?, top?]))
     };
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
+}
+
+/// Height of a vehicle's bottom over a plane; `None` without points.
+pub(in crate::trajectory) fn bottom_height(
+    plane: &GroundPlane,
+    pose: &ObjectPose,
+    object: &Reconstruction,
+) -> Option<f64> {
+    finite_quantile(&mut heights(plane, pose, &finite_points(object)), BOTTOM)
+}
+
+fn heights(plane: &GroundPlane, pose: &ObjectPose, points: &[Point3<f64>]) -> Vec<f64> {
+    points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect()
 }
 
 /// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known well

@@ -32,6 +32,7 @@ mod visible;
 use std::collections::BTreeMap;
 
 use self::measures::Measures;
+pub(super) use self::measures::bottom_height;
 use super::{Options, Views};
 use crate::math::rounding::{percent, significant};
 use crate::scene::{
@@ -52,6 +53,8 @@ pub struct Candidate<'a> {
     pub background: &'a Reconstruction,
     /// The local plane of each frame, in the background's frame.
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
+    /// Height to which these planes were moved since the vehicle stands there, units of the background.
+    pub level: Option<f64>,
     /// Options with which its scale ratio was estimated.
     pub options: &'a Options,
 }
@@ -100,7 +103,7 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
         reasons.extend(support::detection(tracked));
         reasons.extend(support::movement(tracked, measures, || visible::shows(candidate)));
     }
-    reasons.extend(ground::reasons(measures));
+    reasons.extend(ground::reasons(measures, candidate.level));
     reasons.extend(size::shape(measures, &class));
     reasons.extend(size::stretch(measures, &class));
     reasons.extend(path::reasons(measures, is_contradicted));

@@ -63,6 +63,7 @@ impl Car {
             object: &self.world.object,
             background: &self.world.background,
             planes: &self.world.planes,
+            level: None,
             options: &self.options,
         }
     }
@@ -326,8 +327,15 @@ fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
         let planes = BTreeMap::new();
         let background = &single.world.background;
-        let candidate =
-            Candidate { trajectory, tracked: None, object, background, planes: &planes, options: &single.options };
+        let candidate = Candidate {
+            trajectory,
+            tracked: None,
+            object,
+            background,
+            planes: &planes,
+            level: None,
+            options: &single.options,
+        };
         verdicts(&[candidate], TimeBase::Frames, &[]).remove(0)
     };
     let verdict = of(&single.trajectory, &single.world.object);
