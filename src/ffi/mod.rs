@@ -9,3 +9,5 @@ pub mod ffmpeg;
 pub mod memory;
 #[cfg(feature = "perception")]
 pub mod onnx;
+#[cfg(feature = "pipeline")]
+pub mod priority;

@@ -7,8 +7,8 @@ const DETECTOR_S: f64 = 0.4;
 const MASKS_S: f64 = 0.4;
 /// The same where it is reduced.
 const REDUCED_S: f64 = 1.0;
-/// Time over which load is measured before another reduction, seconds: two looks of the detector and more.
-const REACTION_S: f64 = 1.0;
+/// Time over which load is measured before another reduction, seconds: five looks of the detector.
+const REACTION_S: f64 = 2.0;
 /// Time without overload after which the last reduction is taken back, seconds.
 const RECOVERY_S: f64 = 5.0;
 /// Share of frames that may be dropped: one is, now and then, where a map and a look of the detector coincide.

@@ -37,7 +37,7 @@ pub use telemetry::TelemetryFeed;
 
 use crate::camera::Camera;
 use crate::features::FeatureError;
-use crate::ffi::memory;
+use crate::ffi::{memory, priority};
 use crate::files::Growth;
 use crate::io::IoError;
 use crate::io::interchange::colmap;
@@ -376,11 +376,15 @@ struct Worker {
 }
 
 impl Worker {
-    /// Starts it. Its adjustments run on one thread, so that those of the frames come first.
+    /// Starts it. Its adjustments run on one thread with the processor time that the frames leave.
     fn start(mut mapper: Mapper) -> Result<Self, LiveError> {
         let (jobs, requested) = sync_channel::<Snapshot>(1);
         let (finished, maps) = channel();
-        let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build();
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(1)
+            .thread_name(|_| "adjustment".into())
+            .start_handler(|_| priority::lower())
+            .build();
         let pool = pool.map_err(|error| LiveError::Thread(io::Error::other(error)))?;
         let work = move || {
             for snapshot in requested {

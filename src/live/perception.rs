@@ -87,7 +87,7 @@ impl PerceptionThread {
     /// [`LiveError::Perception`] where a network is missing, [`LiveError::Thread`].
     pub(super) fn start(options: &Options, load: &Arc<Mutex<Load>>) -> Result<Self, LiveError> {
         let (frames, source) = channel();
-        let (sender, perceived) = sync_channel(0);
+        let (sender, perceived) = sync_channel(1);
         let (ready, loaded) = channel();
         let (options, load) = (options.clone(), Arc::downgrade(load));
         let work = move || match Perception::new(&options) {

@@ -1,0 +1,29 @@
+//! Priority of threads.
+
+/// Lowers the priority of the calling thread: it gets what others leave of the processor. Linux only; elsewhere nothing
+/// happens.
+pub fn lower() {
+    /// Nice value: the thread gets about a tenth of a core that another one wants as well.
+    #[cfg(target_os = "linux")]
+    const NICE: i32 = 10;
+    // On Linux the "process" without an id is the calling thread. A refusal leaves the priority as it is.
+    #[cfg(target_os = "linux")]
+    let _ = rustix::process::setpriority_process(None, NICE);
+}
+
+#[cfg(all(test, target_os = "linux"))]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_the_calling_thread_gets_less() {
+        let priority = || rustix::process::getpriority_process(None).unwrap();
+        let before = priority();
+        let lowered = std::thread::spawn(move || {
+            lower();
+            priority()
+        });
+        assert_eq!(lowered.join().unwrap(), before.max(10));
+        assert_eq!(priority(), before);
+    }
+}
