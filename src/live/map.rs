@@ -17,6 +17,7 @@ use super::telemetry::TelemetryFeed;
 use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
 use super::{LiveError, Purpose};
 use crate::camera::Camera;
+use crate::features::TrackTable;
 use crate::ground::{
     BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, SLOPE_STD, camera_height, dominant_plane_points,
     find_mount,
@@ -33,6 +34,8 @@ pub(super) const MIN_KEYS: usize = 6;
 /// Fewest points of a map, and fewest that two maps must share to be aligned.
 const MIN_POINTS: usize = 60;
 const MIN_SHARED: usize = 20;
+/// Share of the tracks that must become points: of a wrong map hardly any do.
+const MIN_TRIANGULATED: f64 = 0.3;
 /// Share of its keyframes that a map must register.
 const MIN_REGISTERED: f64 = 0.7;
 /// Views that must show a point: keyframes are far apart, and of two every match is consistent.
@@ -70,12 +73,12 @@ pub(super) enum NoMap {
         keyframes: usize,
     },
     /// Too few points.
-    #[error(
-        "{found} points reconstructed, {MIN_POINTS} needed: too little parallax or texture; fly sideways or forward"
-    )]
+    #[error("{found} points reconstructed, {needed} needed: too little parallax or texture; fly sideways or forward")]
     Points {
         /// Points so far.
         found: usize,
+        /// Fewest points.
+        needed: usize,
     },
 }
 
@@ -215,24 +218,17 @@ impl Mapper {
         let pose = |&view: &usize| snapshot.poses.get(&snapshot.frames[view].id).copied();
         let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
         let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
-        let options = mapper::Options { max_starts: 1, ..self.options.background.mapper.clone() };
-        let seed = self.options.seed;
-        let (mut model, report) = mapper::reconstruct_watched(
-            &table,
-            &[self.camera],
-            self.known,
-            &options,
-            seed,
-            priors.as_ref(),
-            &mut |_| {},
-        )?;
-        let is_usable = model.images.len() as f64 >= MIN_REGISTERED * keys.len() as f64;
-        let Some(camera) = model.cameras.values().next().copied().filter(|_| is_usable) else {
-            return Ok(Err(NoMap::Registration { registered: model.images.len(), keyframes: keys.len() }));
-        };
-        if model.points.len() < MIN_POINTS {
-            return Ok(Err(NoMap::Points { found: model.points.len() }));
+        let mut found = self.reconstruct(&table, priors.as_ref())?;
+        if priors.is_some() && found.is_err() {
+            // The last map may be wrong: its poses would spoil all that follow.
+            found = self.reconstruct(&table, None)?;
         }
+        let (mut model, report) = match found {
+            Ok(found) => found,
+            Err(why) => return Ok(Err(why)),
+        };
+        let camera = model.cameras.values().next().copied().unwrap_or(self.camera);
+        let seed = self.options.seed;
         let is_continued = self.align(&mut model);
         (self.camera, self.revision) = (camera, self.revision + 1);
         let focal_std = report.focal_deviations.first().copied().flatten();
@@ -285,12 +281,34 @@ impl Mapper {
             line,
             models: BTreeMap::new(),
         };
+        let views = models::max_views(snapshot.subjects.len());
         for subject in &snapshot.subjects {
-            let found = models::place(subject, &map, &snapshot.outlines, &snapshot.frames, &self.options)?;
+            let found = models::place(subject, &map, &snapshot.outlines, &snapshot.frames, &self.options, views)?;
             map.models.extend(found.map(|model| (subject.object, model)));
         }
         (map.line.models, map.line.seconds) = (map.models.len(), begin.elapsed().as_secs_f64());
         Ok(Ok(map))
+    }
+
+    /// The keyframes by the batch mapper, or why they give no map.
+    fn reconstruct(
+        &self,
+        table: &TrackTable,
+        priors: Option<&PosePriors>,
+    ) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, LiveError> {
+        let options = mapper::Options { max_starts: 1, ..self.options.background.mapper.clone() };
+        let (cameras, seed) = ([self.camera], self.options.seed);
+        let (model, report) =
+            mapper::reconstruct_watched(table, &cameras, self.known, &options, seed, priors, &mut |_| {})?;
+        let (registered, keyframes, found) = (model.images.len(), table.views.len(), model.points.len());
+        let needed = MIN_POINTS.max((MIN_TRIANGULATED * table.tracks.len() as f64) as usize);
+        Ok(if (registered as f64) < MIN_REGISTERED * keyframes as f64 || model.cameras.is_empty() {
+            Err(NoMap::Registration { registered, keyframes })
+        } else if found < needed {
+            Err(NoMap::Points { found, needed })
+        } else {
+            Ok((model, report))
+        })
     }
 
     /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.

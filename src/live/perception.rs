@@ -1,7 +1,7 @@
 //! Vehicles in the image: detector, masks, optical flow and tracker, one frame at a time, on a thread of their own.
 //!
-//! The thread is one frame ahead of points and positions. It hands a frame over when they are free (a channel without
-//! buffer), so that frames are dropped in one place only, in front of it.
+//! The thread is up to two frames ahead of points and positions: one waits between them, so that a frame that takes
+//! longer on either side holds up none of the others. Frames are dropped in one place only, in front of this thread.
 
 use std::collections::BTreeMap;
 use std::io;
