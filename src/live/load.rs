@@ -107,19 +107,19 @@ mod tests {
     #[test]
     fn work_is_reduced_in_order_and_taken_back() {
         let mut load = Load::default();
-        assert!(run(&mut load, 0.0, 3.0, 0.09, false).is_empty());
-        assert_eq!(run(&mut load, 3.0, 9.5, 0.2, true), [1, 2, 3, 4]);
+        assert!(run(&mut load, 0.0, 4.1, 0.09, false).is_empty());
+        assert_eq!(run(&mut load, 4.1, 13.5, 0.2, true), [1, 2, 3, 4]);
         assert_eq!(load.periods_s(), [1.0, 1.0]);
         assert_eq!((0..8).filter(|_| !load.skips()).count(), 2);
-        assert!(run(&mut load, 9.5, 13.0, 0.03, false).is_empty(), "not before 5 s without lag");
-        assert_eq!(run(&mut load, 13.0, 40.0, 0.03, false), [3, 2, 1, 0]);
+        assert!(run(&mut load, 13.5, 16.0, 0.03, false).is_empty(), "not before 5 s without lag");
+        assert_eq!(run(&mut load, 16.0, 50.0, 0.03, false), [3, 2, 1, 0]);
         assert_eq!((load.periods_s(), load.skips()), ([DETECTOR_S, MASKS_S], false));
     }
 
     #[test]
     fn work_without_room_is_not_taken_back() {
         let mut load = Load::default();
-        assert_eq!(run(&mut load, 0.0, 1.3, 0.2, true), [1]);
-        assert!(run(&mut load, 1.3, 30.0, 0.08, false).is_empty());
+        assert_eq!(run(&mut load, 0.0, 2.3, 0.2, true), [1]);
+        assert!(run(&mut load, 2.3, 30.0, 0.08, false).is_empty());
     }
 }
