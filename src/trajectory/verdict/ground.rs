@@ -44,10 +44,9 @@ fn stands(bottom: f64) -> Option<Reason> {
 
 /// * `level` – height of the ground below it over the ground around it, in heights of its top.
 fn levelled(level: f64) -> Reason {
-    let side = if level < 0.0 { "below" } else { "above" };
     let says = format!(
-        "stationary by the shaking of the camera: the ground below it is {} of its height {side} the ground around it",
-        percent(level.abs())
+        "stationary by the shaking of the camera: the ground below it is {} of its height below the ground around it",
+        percent(-level)
     );
     Reason::supports(Ground, says)
 }
