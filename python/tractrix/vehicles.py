@@ -109,7 +109,7 @@ class Track:
         frames: frame ids, shape (N,).
         names: image names, N.
         time_s: seconds of the video, shape (N,).
-        position: shape (N, 3), background frame, its unit.
+        position: center of the body, or of the points, shape (N, 3), background frame, its unit.
         raw: the entry of the file.
     """
 

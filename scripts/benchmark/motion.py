@@ -9,7 +9,8 @@ and the stages `scale` and `metric` run with the true metres per unit, so that n
 judged; `--as-they-are` takes outputs that were made so. Vehicle 1 is compared with `T_world_object`.
 
 The truth of a speed is that of the point of the vehicle that the program follows. Extents are compared with the mesh:
-width without mirrors (the median over its length), height without aerials. Needs numpy.
+width without mirrors (the median over its length), height without aerials; and the point that is followed with the
+center of the mesh. Needs numpy.
 """
 
 import argparse
@@ -52,6 +53,10 @@ class Output(NamedTuple):
     speed: Errors
     yaw_rate: Errors | None
     extents: dict[str, tuple[float, float]]
+    # The point of the vehicle that is followed, in its own frame, metres; the standard deviation that is stated for the
+    # center of the body, None where it is the center of the points.
+    followed: np.ndarray
+    center_std: float | None
 
 
 def outputs(folder: Path, sequence: Path) -> Iterator[tuple[Path, int]]:
@@ -76,8 +81,10 @@ def in_true_metres(tractrix: str, sequence: Path, scene: Scene, source: Path, se
         sys.exit(f"{' '.join(command)}: {done.stderr}")
 
 
-def followed_point(scene: Scene, output: Path, placed: list[dict[str, Any]], objects: np.ndarray) -> np.ndarray:
-    """The true way of the point of the vehicle that the program follows: its mean place in the vehicle's own frame."""
+def followed_point(
+    scene: Scene, output: Path, placed: list[dict[str, Any]], objects: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """The mean place of the point that the program follows, in the vehicle's own frame, and true metres per unit."""
     centers = read_centers(output / "background")
     names = [f["name"] for f in placed if f["name"] in centers]
     truth = {i: np.array(f["T_world_camera"])[:3, 3] for i, f in by_frame(scene).items()}
@@ -85,7 +92,7 @@ def followed_point(scene: Scene, output: Path, placed: list[dict[str, Any]], obj
     scale, rotation, translation = umeyama(found, np.array([truth[int(Path(name).stem)] for name in names]))
     positions = scale * np.array([f["position"] for f in placed]) @ rotation.T + translation
     arms = [pose[:3, :3].T @ (position - pose[:3, 3]) for pose, position in zip(objects, positions)]
-    return objects[:, :3, :3] @ np.mean(arms, axis=0) + objects[:, :3, 3]
+    return np.mean(arms, axis=0), scale
 
 
 def umeyama(a: np.ndarray, b: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
@@ -114,7 +121,10 @@ def judge(output: Path, scene: Scene) -> Output | None:
     time = np.array([f["time_s"] for f in placed])
     poses = np.array([truth[f["frame"]]["T_world_object"] for f in placed]).reshape(-1, 4, 4)
     forward = poses[:, :3, 0]
-    path = followed_point(scene, output, placed, poses)
+    followed, scale = followed_point(scene, output, placed, poses)
+    path = poses[:, :3, :3] @ followed + poses[:, :3, 3]
+    center = entry.get("body_center")
+    center_std = center and scale * entry["scale"]["ratio"] * float(np.sqrt(np.trace(np.array(center["covariance"]))))
     speed = (np.gradient(path, time, axis=0, edge_order=2) * forward).sum(1)
     yaw = np.unwrap(np.arctan2(forward[:, 1], forward[:, 0]))
 
@@ -129,18 +139,24 @@ def judge(output: Path, scene: Scene) -> Output | None:
         errors("speed_m_s", speed),
         errors("yaw_rate_deg_s", -np.degrees(np.gradient(yaw, time))) if has_yaw else None,
         {name: (size["value"], size["std"]) for name, size in sizes.items() if size},
+        followed,
+        center_std,
     )
 
 
-def true_size(sequence: Path) -> dict[str, float]:
-    """Length, width without mirrors and height without aerials, metres: medians and next to largest of 20 slices."""
+def true_size(sequence: Path) -> tuple[dict[str, float], np.ndarray]:
+    """Length, width without mirrors and height without aerials, metres: medians and next to largest of 20 slices.
+
+    And the middle of the body.
+    """
     vertices = read_ply(sequence / "object_mesh.ply")
     low, high = vertices.min(0), vertices.max(0)
     slices = np.clip(((vertices[:, 0] - low[0]) / (high[0] - low[0]) * 20).astype(int), 0, 19)
     within = [vertices[slices == i] for i in range(20) if (slices == i).any()]
     half_widths = [np.abs(part[:, 1] - (low[1] + high[1]) / 2).max() for part in within]
     heights = sorted(part[:, 2].max() for part in within)
-    return {"length": high[0] - low[0], "width": 2 * float(np.median(half_widths)), "height": heights[-2]}
+    size = {"length": high[0] - low[0], "width": 2 * float(np.median(half_widths)), "height": heights[-2]}
+    return size, np.array([*(low + high)[:2] / 2, heights[-2] / 2])
 
 
 def motion_row(name: str, found: list[Output]) -> str:
@@ -161,8 +177,8 @@ def motion_row(name: str, found: list[Output]) -> str:
     return row + f"| {rms:.1f}, {std:.1f} °/s, {100 * np.mean([y.within(1) for y in yaw]):.0f} % |"
 
 
-def extents_row(name: str, found: Output, truth: dict[str, float]) -> str:
-    """Error and stated deviation of each extent."""
+def extents_row(name: str, found: Output, truth: dict[str, float], middle: np.ndarray) -> str:
+    """Error and stated deviation of each extent and of the center."""
     cells = []
     for dimension in DIMENSIONS:
         value, std = found.extents.get(dimension, (None, None))
@@ -170,7 +186,9 @@ def extents_row(name: str, found: Output, truth: dict[str, float]) -> str:
             cells.append("not seen")
             continue
         cells.append(f"{100 * (value / truth[dimension] - 1):+.1f} % ± {100 * std / value:.1f}")
-    return f"| {name} | " + " | ".join(cells) + " |"
+    off = float(np.linalg.norm(found.followed - middle))
+    stated = "points" if found.center_std is None else f"± {found.center_std:.2f}"
+    return f"| {name} | " + " | ".join(cells) + f" | {off:.2f} {stated} |"
 
 
 def main() -> None:
@@ -195,14 +213,14 @@ def main() -> None:
             found = [one for one in found if one]
             if found:
                 motions.append(motion_row(sequence.name, found))
-                extents.append(extents_row(sequence.name, found[0], true_size(sequence)))
+                extents.append(extents_row(sequence.name, found[0], *true_size(sequence)))
                 coverage.append([np.mean([one.speed.within(k) for one in found]) for k in (1, 2)])
                 print(motions[-1], file=sys.stderr, flush=True)
     print("| sequence | seeds | raw speed | smoothed speed, stated | within one, two | yaw rate, stated, within one |")
     print("| --- | --- | --- | --- | --- | --- |", *motions, sep="\n")
     one, two = 100 * np.mean(coverage, axis=0)
     print(f"\nSpeeds within one deviation {one:.0f} %, within two {two:.0f} %, every sequence counting the same.\n")
-    print("| sequence | length | width | height |", "| --- | --- | --- | --- |", *extents, sep="\n")
+    print("| sequence | length | width | height | center, m |", "| --- | --- | --- | --- | --- |", *extents, sep="\n")
 
 
 if __name__ == "__main__":

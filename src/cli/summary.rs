@@ -178,7 +178,18 @@ mod tests {
             max_speed_m_s: None,
         });
         let dimensions = None;
-        ObjectTrajectory { id: ObjectId(id), class, confidence: 1.0, scale, ground, verdict, dimensions, travel, poses }
+        ObjectTrajectory {
+            id: ObjectId(id),
+            class,
+            confidence: 1.0,
+            scale,
+            ground,
+            body_center: None,
+            verdict,
+            dimensions,
+            travel,
+            poses,
+        }
     }
 
     fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {

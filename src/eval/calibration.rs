@@ -267,6 +267,7 @@ mod tests {
             confidence: 1.0,
             scale: ScaleEstimate { camera_path, ..ScaleEstimate::new(2.02, ScaleMethod::Joint) },
             ground: std::collections::BTreeMap::new(),
+            body_center: None,
             verdict: None,
             dimensions: None,
             travel: None,

@@ -158,6 +158,7 @@ mod tests {
             confidence: 1.0,
             scale,
             ground,
+            body_center: None,
             verdict: None,
             dimensions: None,
             travel: None,

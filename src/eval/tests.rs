@@ -100,6 +100,7 @@ fn some_trajectory(ratio: f64) -> ObjectTrajectory {
         confidence: 1.0,
         scale,
         ground: BTreeMap::new(),
+        body_center: None,
         verdict: None,
         dimensions: None,
         travel: None,

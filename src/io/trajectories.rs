@@ -16,9 +16,9 @@ use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
-    CameraPathRatio, ContactError, Dimensions, FrameId, GroundPosition, GroundTrack, Metric, MetricPose, MetricVerdict,
-    ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod, ScaleShares,
-    ScaleSupport, Trajectories, Travel, Unit, Verdict,
+    BodyCenter, CameraPathRatio, ContactError, Dimensions, FrameId, GroundPosition, GroundTrack, Metric, MetricPose,
+    MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod,
+    ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
 };
 
 /// The version that is written.
@@ -65,6 +65,10 @@ struct Object {
     /// Bases of its ground planes, and in how many frames.
     #[serde(default)]
     ground: BTreeMap<PlaneBasis, usize>,
+    /// Center of the body, which is at `position`; absent where outlines do not show it, then the center of the points
+    /// is there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    body_center: Option<BodyCenter>,
     /// Verdict; null if the trajectory was not judged.
     #[serde(default)]
     verdict: Option<Verdict>,
@@ -119,7 +123,7 @@ struct Pose {
     name: String,
     /// Its time, seconds.
     time_s: f64,
-    /// The object's center in the frame of `background/`.
+    /// Center of the body, or of the points, in the frame of `background/`.
     position: [f64; 3],
     /// From the frame of `objects/<id>` to that of `background/`.
     world_from_object: Placement,
@@ -235,6 +239,7 @@ fn object_to_file(object: &ObjectTrajectory) -> Object {
             references,
         },
         ground: object.ground.clone(),
+        body_center: object.body_center,
         verdict: object.verdict.clone(),
         dimensions: object.dimensions,
         travel: object.travel,
@@ -289,6 +294,7 @@ fn object_from_file(object: Object) -> ObjectTrajectory {
             references,
         },
         ground: object.ground,
+        body_center: object.body_center,
         verdict: object.verdict,
         dimensions: object.dimensions,
         travel: object.travel,
@@ -332,6 +338,9 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         }
         if !object.dimensions.as_ref().is_none_or(has_finite_numbers) {
             return wrong("a dimension is not a finite number".into());
+        }
+        if !object.body_center.as_ref().is_none_or(has_finite_numbers) {
+            return wrong("the center of the body is not finite".into());
         }
         if !object.travel.as_ref().is_none_or(has_finite_numbers) {
             return wrong("a travel figure is not finite".into());
@@ -485,6 +494,7 @@ mod tests {
             confidence,
             scale,
             ground: [(PlaneBasis::Mount, 2)].into(),
+            body_center: None,
             verdict,
             dimensions: None,
             travel: None,

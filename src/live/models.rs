@@ -11,7 +11,7 @@ use super::window::{Limits, known_points, resected, sub_table};
 use crate::features::TrackTable;
 use crate::mapper::{self, Intrinsics};
 use crate::pipeline::{Options, object_pose_priors};
-use crate::scene::{Frame, FrameId, ImageId, ObjectId, ObjectTrajectory, Reconstruction, TimeBase, Unit};
+use crate::scene::{Frame, FrameId, ImageId, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Unit};
 use crate::trajectory::{self, Candidate, Evidence, ModelOrigin, ObjectDescription, Outlines, verdicts};
 
 /// Views of a model; other frames are registered by resection. Time grows faster than their number: in five rendered
@@ -60,10 +60,20 @@ impl Model {
         nearest.map_or_else(Matrix3::zeros, |(_, covariance)| *covariance)
     }
 
+    /// Error of the center of the body, which all frames have in common.
+    pub(super) fn body_covariance(&self, frame: FrameId) -> Matrix3<f64> {
+        let center = self.trajectory.body_center.zip(self.pose(frame));
+        center.map_or_else(Matrix3::zeros, |(center, pose)| center.covariance_in_world(&pose.world_from_object))
+    }
+
     /// Position in a frame, in the frame of the map.
     pub(super) fn position(&self, frame: FrameId) -> Option<Point3<f64>> {
+        Some(Point3::from(self.pose(frame)?.position))
+    }
+
+    fn pose(&self, frame: FrameId) -> Option<&ObjectPose> {
         let place = self.trajectory.poses.binary_search_by_key(&frame, |pose| pose.frame).ok()?;
-        Some(Point3::from(self.trajectory.poses[place].position))
+        self.trajectory.poses.get(place)
     }
 }
 
@@ -137,7 +147,17 @@ pub(super) fn place(
         return Ok(None);
     }
     let whole = with_others(placed.object, table, &registered, map);
-    let trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames, Unit::Background);
+    let mut trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames, Unit::Background);
+    let subject = trajectory::Subject {
+        trajectory: &trajectory,
+        object: &whole,
+        background: &map.model,
+        planes: &planes,
+        silhouettes: &silhouettes,
+        options: &options.scale,
+    };
+    let center = trajectory::extents(&subject).center;
+    center.into_iter().for_each(|center| trajectory.refer_to(center));
     Ok(Some(Model { trajectory, covariances: placed.pose_covariances }))
 }
 

@@ -468,7 +468,8 @@ fn placed(map: &WorldMap, position: &GroundPosition) -> Option<Placed> {
 }
 
 fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<Placed> {
-    placed_at(map, frame, model.position(frame)?, &model.covariance(frame), model.log_ratio_std())
+    let covariance = model.covariance(frame) + model.body_covariance(frame);
+    placed_at(map, frame, model.position(frame)?, &covariance, model.log_ratio_std())
 }
 
 /// The camera's center in a frame, or in the last one of the map for a frame that came after it.

@@ -41,8 +41,8 @@ pub use tracked::{
     UnmergedTrack,
 };
 pub use trajectory::{
-    CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References, ScaleEstimate,
-    ScaleShares, ScaleSupport, StationaryVehicles, Trajectories, Unit,
+    BodyCenter, CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References,
+    ScaleEstimate, ScaleShares, ScaleSupport, StationaryVehicles, Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
 pub use warning::{Topic, Warning, warning_text};

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::{Matrix3, Point3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -180,7 +181,8 @@ pub struct ObjectPose {
     pub name: String,
     /// Its time, seconds.
     pub time_s: f64,
-    /// The object's centre, in the background's frame: the same point of the object in every frame.
+    /// The same point of the object in every frame, in the background's frame: the center of the body where
+    /// [`ObjectTrajectory::body_center`] is known, otherwise that of its points.
     pub position: [f64; 3],
     /// Places the object's points into the background's frame (eq. object_to_background_coordinates).
     pub world_from_object: Sim3,
@@ -188,6 +190,25 @@ pub struct ObjectPose {
     pub speed: Option<f64>,
     /// The same and what follows from it in metres; `None` where they are unknown.
     pub metric: Option<MetricPose>,
+}
+
+/// Center of a vehicle's body, in the frame and unit of its model: the middle between front and rear, between the
+/// sides, and between roof and ground.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+pub struct BodyCenter {
+    /// Position.
+    pub in_object: [f64; 3],
+    /// Its covariance, without that of the scale ratio.
+    pub covariance: [[f64; 3]; 3],
+}
+
+impl BodyCenter {
+    /// Its covariance in the frame and unit of the background; the error is the same in all frames of the vehicle.
+    pub fn covariance_in_world(&self, world_from_object: &Sim3) -> Matrix3<f64> {
+        let rotation = world_from_object.rotation.to_rotation_matrix();
+        let covariance = Matrix3::from_fn(|j, k| self.covariance[j][k]);
+        rotation * covariance * rotation.transpose() * world_from_object.scale.powi(2)
+    }
 }
 
 /// One object's trajectory.
@@ -203,6 +224,9 @@ pub struct ObjectTrajectory {
     pub scale: ScaleEstimate,
     /// On what its ground planes rest, and in how many frames.
     pub ground: BTreeMap<PlaneBasis, usize>,
+    /// The point of the object at the positions; `None` where outlines do not show it: then it is the center of the
+    /// points.
+    pub body_center: Option<BodyCenter>,
     /// Verdict; `None` if the trajectory was not judged.
     pub verdict: Option<Verdict>,
     /// Size in meters; `None` where meters are unknown.
@@ -230,6 +254,14 @@ impl ObjectTrajectory {
         let mean: f64 = if count > 0.0 { sum / count } else { 0.0 };
         let shift = 360.0 * (mean / 360.0).floor();
         headings.into_iter().map(|heading| Some(heading? - shift)).collect()
+    }
+
+    /// Moves all positions to the center of the body.
+    pub fn refer_to(&mut self, body: BodyCenter) {
+        for pose in &mut self.poses {
+            pose.position = (pose.world_from_object * Point3::from(body.in_object)).coords.into();
+        }
+        self.body_center = Some(body);
     }
 
     /// Returns true if it must not be used for measurements: its scale is undetermined, or it is rejected.

@@ -280,6 +280,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         confidence,
         scale,
         ground: BTreeMap::new(),
+        body_center: None,
         verdict,
         dimensions: Some(dimensions(size_m)),
         travel: Some(travel(&poses, result.background_from_metric.scale)),

@@ -39,8 +39,18 @@ pub fn assemble(
     poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
     let ObjectDescription { id, class, confidence } = description;
     let ground = BTreeMap::new();
-    let mut trajectory =
-        ObjectTrajectory { id, class, confidence, scale, ground, verdict: None, dimensions: None, travel: None, poses };
+    let mut trajectory = ObjectTrajectory {
+        id,
+        class,
+        confidence,
+        scale,
+        ground,
+        body_center: None,
+        verdict: None,
+        dimensions: None,
+        travel: None,
+        poses,
+    };
     if unit == Unit::Metre {
         set_speeds(&mut trajectory);
     }

@@ -88,6 +88,7 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         confidence: 1.0,
         scale,
         ground: BTreeMap::new(),
+        body_center: None,
         verdict: None,
         dimensions: None,
         travel: None,

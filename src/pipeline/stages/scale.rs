@@ -18,8 +18,8 @@ use super::{ground, objects};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{
-    Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory, Reconstruction,
-    ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
+    BodyCenter, Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory,
+    Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription, Outlines,
@@ -251,10 +251,18 @@ impl<'a, 'r> Scene<'a, 'r> {
                 warn_of_scale(&trajectory, outcome);
                 warn_of_dropped(tracked.id, &placed.dropped, outcome);
                 found.pose_covariances.insert(tracked.id, placed.pose_covariances);
-                let size = size(&trajectory, &placed.object, self.background, &planes, silhouettes, &run.options.scale);
-                found.sizes.insert(tracked.id, size);
+                let subject = Subject {
+                    trajectory: &trajectory,
+                    object: &placed.object,
+                    background: self.background,
+                    planes: &planes,
+                    silhouettes,
+                    options: &run.options.scale,
+                };
+                let Extents { length, width, height, center } = extents(&subject);
+                found.sizes.insert(tracked.id, Size { length, width, height });
                 let tracked = tracked.clone();
-                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, level });
+                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, level, center });
             }
             Err(reason) => {
                 outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
@@ -285,20 +293,6 @@ fn warn_of_scale(trajectory: &ObjectTrajectory, outcome: &mut Outcome) {
     }
 }
 
-/// Size of an object, in units of the background.
-fn size(
-    trajectory: &ObjectTrajectory,
-    object: &Reconstruction,
-    background: &Reconstruction,
-    planes: &BTreeMap<FrameId, GroundPlane>,
-    silhouettes: &BTreeMap<FrameId, Silhouette>,
-    options: &trajectory::Options,
-) -> Size {
-    let subject = Subject { trajectory, object, background, planes, silhouettes, options };
-    let Extents { length, width, height } = extents(&subject);
-    Size { length, width, height }
-}
-
 /// An object that has a trajectory, until all of them are judged together.
 struct PlacedVehicle {
     trajectory: ObjectTrajectory,
@@ -307,11 +301,12 @@ struct PlacedVehicle {
     planes: BTreeMap<FrameId, GroundPlane>,
     /// Height to which the planes were moved.
     level: Option<f64>,
+    center: Option<BodyCenter>,
 }
 
 impl PlacedVehicle {
     fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
-        let Self { trajectory, tracked, object, planes, level } = self;
+        let Self { trajectory, tracked, object, planes, level, .. } = self;
         Candidate { trajectory, tracked: Some(tracked), object, background, planes, level: *level, options }
     }
 }
@@ -325,7 +320,9 @@ fn with_verdicts(found: Vec<PlacedVehicle>, verdicts: Vec<Verdict>, outcome: &mu
             outcome.warn(Topic::VehicleRejected.warning(format!("object {id}: rejected: {}", reason.says)));
         }
         outcome.figure(&format!("verdict_{id}"), json!(verdict.state));
-        ObjectTrajectory { verdict: Some(verdict), ..placed.trajectory }
+        let mut trajectory = ObjectTrajectory { verdict: Some(verdict), ..placed.trajectory };
+        placed.center.into_iter().for_each(|center| trajectory.refer_to(center));
+        trajectory
     };
     found.into_iter().zip(verdicts).map(judge).collect()
 }

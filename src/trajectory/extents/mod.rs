@@ -17,15 +17,15 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Point3, Rotation3, Unit, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, SMatrix, Unit, UnitQuaternion, Vector3};
 
-use self::fit::{Expected, Fit, Reach, Unknowns};
+use self::fit::{Expected, Fit, NUM, Reach, Unknowns};
 use self::outline::OutlineView;
 use self::template::Template;
 use super::contact::solid_points;
 use super::{Body, Options, Silhouette, View, Views, forward_axis};
 use crate::math::{Rigid3, median, quantile, symmetric_eigen};
-use crate::scene::{Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
+use crate::scene::{BodyCenter, Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
 
 /// An object whose extents are asked for.
 #[derive(Clone, Copy, Debug)]
@@ -44,7 +44,7 @@ pub struct Subject<'a> {
     pub options: &'a Options,
 }
 
-/// Size of an object, in units of the background; `None` for dimensions that were not visible. Standard deviations are
+/// Size of an object, in units of the background, and its middle; `None` for what was not visible. Standard deviations are
 /// total ones, including that of the scale ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extents {
@@ -54,6 +54,8 @@ pub struct Extents {
     pub width: Option<Estimate>,
     /// Of its roof above the ground.
     pub height: Option<Estimate>,
+    /// Middle of the body; `None` where length or width were not visible.
+    pub center: Option<BodyCenter>,
 }
 
 /// Frames that are looked at, at most, spread over all.
@@ -97,13 +99,19 @@ fn measured(subject: &Subject) -> Option<Extents> {
         // Either of the two may be its front.
         Axis::Unknown => vec![start.turned(), start],
     };
-    let fitted: Vec<(Vec<Fit>, f64)> = starts.iter().filter_map(|start| fits(subject, start)).collect();
+    let found = |start: &Start| {
+        let (fits, independent) = fits(subject, start)?;
+        let object_from_vehicle = start.vehicle_from_object.inverse();
+        Some((fits.into_iter().map(|fit| PlacedFit { fit, object_from_vehicle }).collect::<Vec<_>>(), independent))
+    };
+    let fitted: Vec<_> = starts.iter().filter_map(found).collect();
     let independent = fitted.first()?.1;
-    let fits: Vec<Fit> = fitted.into_iter().flat_map(|(fits, _)| fits).collect();
+    let fits = Weighted::of(fitted.into_iter().flat_map(|(fits, _)| fits).collect(), independent)?;
     let scale = &subject.trajectory.scale;
-    let logs = Logs::of(&fits, independent)?;
+    let logs = Logs::of(&fits)?;
     let estimate = |k: usize| logs.estimate(k, scale.ratio, scale.std.unwrap_or(0.0) / scale.ratio);
-    let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2) };
+    let center = (logs.std[0] < SEEN && logs.std[1] < SEEN).then(|| fits.center()).flatten();
+    let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2), center };
     match axis {
         Axis::Forward => Some(all),
         Axis::Unknown => Some(logs.longer_first(all)),
@@ -307,6 +315,68 @@ fn num_views(sights: &[OutlineView]) -> usize {
     distinct.len().max(1)
 }
 
+/// A body, and where the vehicle's frame is in that of the object.
+#[derive(Clone, Copy, Debug)]
+struct PlacedFit {
+    fit: Fit,
+    object_from_vehicle: Rigid3,
+}
+
+impl PlacedFit {
+    /// Center of the body in the object's frame, and its covariance.
+    fn center(&self) -> (Point3<f64>, Matrix3<f64>) {
+        let Fit { value, covariance, .. } = &self.fit;
+        let size = [0, 1, 2].map(|k| value[k].exp());
+        let mut by_unknowns = SMatrix::<f64, 3, NUM>::zeros();
+        for (row, unknown) in [(0, 3), (1, 4), (2, 6)] {
+            by_unknowns[(row, unknown)] = 1.0;
+        }
+        by_unknowns[(2, 2)] = 0.5 * size[2];
+        // An end that is off moves the middle by half of that.
+        let of_shape = Vector3::from_fn(|k, _| (0.5 * SHAPE_STD[k] * size[k]).powi(2));
+        let in_vehicle = by_unknowns * covariance * by_unknowns.transpose() + Matrix3::from_diagonal(&of_shape);
+        let rotation = self.object_from_vehicle.rotation.to_rotation_matrix();
+        let center = Point3::new(value[3], value[4], value[6] + 0.5 * size[2]);
+        (self.object_from_vehicle * center, rotation * in_vehicle * rotation.transpose())
+    }
+}
+
+/// Bodies of all shapes, each weighted by how well it fits.
+struct Weighted {
+    fits: Vec<PlacedFit>,
+    /// Their sum is one.
+    weights: Vec<f64>,
+}
+
+impl Weighted {
+    fn of(fits: Vec<PlacedFit>, independent: f64) -> Option<Self> {
+        let best = fits.iter().map(|found| found.fit.misfit).min_by(f64::total_cmp)?.max(1e-3);
+        let weight = |found: &PlacedFit| (-0.5 * independent * (found.fit.misfit / best - 1.0)).exp();
+        let weights: Vec<f64> = fits.iter().map(weight).collect();
+        let total: f64 = weights.iter().sum();
+        Some(Self { weights: weights.into_iter().map(|weight| weight / total).collect(), fits })
+    }
+
+    fn mean(&self, of: impl Fn(&Fit) -> f64) -> f64 {
+        self.fits.iter().zip(&self.weights).map(|(found, weight)| weight * of(&found.fit)).sum()
+    }
+
+    fn center(&self) -> Option<BodyCenter> {
+        let found: Vec<_> = self.fits.iter().map(PlacedFit::center).zip(&self.weights).collect();
+        let mean: Vector3<f64> = found.iter().map(|((center, _), weight)| center.coords * **weight).sum();
+        let covariance: Matrix3<f64> = found
+            .iter()
+            .map(|((center, covariance), weight)| {
+                let off = center.coords - mean;
+                (covariance + off * off.transpose()) * **weight
+            })
+            .sum();
+        let is_finite = mean.iter().chain(&covariance).all(|x| x.is_finite());
+        let rows = std::array::from_fn(|j| std::array::from_fn(|k| covariance[(j, k)]));
+        is_finite.then(|| BodyCenter { in_object: mean.into(), covariance: rows })
+    }
+}
+
 /// Logarithms of length, width and height, in units of the object.
 #[derive(Clone, Copy, Debug)]
 struct Logs {
@@ -315,17 +385,13 @@ struct Logs {
 }
 
 impl Logs {
-    /// Of all shapes, each by how well it fits.
-    fn of(fits: &[Fit], independent: f64) -> Option<Self> {
-        let best = fits.iter().map(|fit| fit.misfit).min_by(f64::total_cmp)?.max(1e-3);
-        let weights: Vec<f64> = fits.iter().map(|f| (-0.5 * independent * (f.misfit / best - 1.0)).exp()).collect();
-        let total: f64 = weights.iter().sum();
-        let mean = |of: &dyn Fn(&Fit) -> f64| fits.iter().zip(&weights).map(|(f, w)| w * of(f)).sum::<f64>() / total;
+    /// Mean of all shapes, and how far they are from it.
+    fn of(fits: &Weighted) -> Option<Self> {
         let (mut value, mut std) = ([0.0; 3], [0.0; 3]);
         for k in 0..3 {
-            value[k] = mean(&|fit| fit.value[k]);
-            let spread = mean(&|fit| (fit.value[k] - value[k]).powi(2));
-            let noise = mean(&|fit| fit.covariance[(k, k)]);
+            value[k] = fits.mean(|fit| fit.value[k]);
+            let spread = fits.mean(|fit| (fit.value[k] - value[k]).powi(2));
+            let noise = fits.mean(|fit| fit.covariance[(k, k)]);
             std[k] = (spread + noise + SHAPE_STD[k].powi(2)).sqrt();
         }
         value.iter().chain(&std).all(|x| x.is_finite()).then_some(Self { value, std })

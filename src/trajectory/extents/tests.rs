@@ -156,9 +156,37 @@ fn a_parked_car_points_along_its_longer_side() {
 }
 
 #[test]
+fn the_middle_of_a_body_is_found_from_one_side_of_it() {
+    let turn = UnitQuaternion::from_euler_angles(0.4, -0.2, 1.1);
+    let other_frame = Rigid3::new(turn, Vector3::new(0.7, -0.3, 5.0));
+    let mut world =
+        world(&[35.0, 50.0, 65.0, 80.0, 100.0, 115.0, 130.0, 145.0]).drive().in_frame(&other_frame);
+    // Only the points of that side.
+    let old_from_new = other_frame.inverse();
+    world.object.points.retain(|_, point| (old_from_new * point.position).y > 0.2);
+    let points = crate::trajectory::object_center(&world.object);
+    let truth = Point3::new(0.0, 0.0, 0.5 * CAR[2]);
+    let off = |found: Point3<f64>| old_from_new * found - truth;
+    assert!(off(points).xy().norm() > 0.5, "{points}");
+    let center = world.extents().center.unwrap();
+    let error = off(center.in_object.into());
+    assert!(error.norm() < 0.15, "{error}");
+    // Its covariance is that of the same axes, in the unit of the background.
+    let pose = world.trajectory.poses[0].world_from_object;
+    let covariance = center.covariance_in_world(&pose);
+    let in_world = pose.rotation * other_frame.rotation * error * RATIO;
+    let deviations = in_world.dot(&(covariance.try_inverse().unwrap() * in_world)).sqrt();
+    assert!(deviations < 3.0, "{deviations}: {covariance}");
+    assert!(covariance.trace().sqrt() < 0.3 * RATIO, "{covariance}");
+    world.trajectory.refer_to(center);
+    let position = Point3::from(world.trajectory.poses[0].position);
+    assert!((position - pose * Point3::from(center.in_object)).norm() < 1e-12);
+}
+
+#[test]
 fn from_behind_a_car_has_no_length() {
     let found = world(&[178.0, 179.0, 180.0, 181.0, 182.0]).drive().extents();
-    assert_eq!(found.length, None);
+    assert_eq!((found.length, found.center), (None, None));
     assert!(is_near(found.width, CAR[1]) && is_near(found.height, CAR[2]), "{found:?}");
 }
 

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Point3};
 use crate::metric::{ObservedPoint, in_metres, metric_pose, place_std_m};
 use crate::pipeline::stages::scale::PoseCovariances;
 use crate::scene::{
-    Estimate, Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectId, ObjectPose, ObjectTrajectory,
+    BodyCenter, Estimate, Image, MapPlace, MetricFrame, MetricPose, Movement, ObjectId, ObjectPose, ObjectTrajectory,
     Reconstruction, TimeBase, Travel,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
@@ -55,13 +55,21 @@ impl<'a> Placing<'a> {
     pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
         let log_ratio_std = log_ratio_std(trajectory);
         for pose in &mut trajectory.poses {
-            pose.metric = self.metric(trajectory.id, pose, log_ratio_std);
+            let of_body = body_covariance(trajectory.body_center, pose);
+            pose.metric = self.metric(trajectory.id, pose, log_ratio_std, of_body);
         }
         let Some(found) = self.smoothed(trajectory) else { return };
         trajectory.travel = Some(self.travel(span(&trajectory.poses, |pose| pose.time_s), &found));
         if self.times == TimeBase::Seconds {
-            let placed = trajectory.poses.iter_mut().filter_map(|pose| pose.metric.as_mut());
-            placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));
+            let placed = trajectory.poses.iter_mut().filter(|pose| pose.metric.is_some());
+            for (pose, mut motion) in placed.zip(found.motions) {
+                // The error of the center is the same in all frames: smoothing leaves it as it is.
+                let of_body = in_metres(self.frame, &body_covariance(trajectory.body_center, pose));
+                for (k, std) in motion.smoothed_position_std_m.iter_mut().enumerate() {
+                    *std = std.hypot(of_body[(k, k)].max(0.0).sqrt());
+                }
+                pose.metric.iter_mut().for_each(|metric| metric.motion = Some(motion));
+            }
         }
     }
 
@@ -124,10 +132,11 @@ impl<'a> Placing<'a> {
         self.poses.get(&id).and_then(|of_frames| of_frames.get(&pose.frame)).copied().unwrap_or_default()
     }
 
-    fn metric(&self, id: ObjectId, pose: &ObjectPose, log_ratio_std: f64) -> Option<MetricPose> {
+    /// * `of_body` – covariance of the center of the body, in the frame and unit of the background.
+    fn metric(&self, id: ObjectId, pose: &ObjectPose, log_ratio_std: f64, of_body: Matrix3<f64>) -> Option<MetricPose> {
         let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
         let direction_std = self.direction_std;
-        let (point, pose_covariance) = (Point3::from(pose.position), self.pose_covariance(id, pose));
+        let (point, pose_covariance) = (Point3::from(pose.position), self.pose_covariance(id, pose) + of_body);
         let sighted = ObservedPoint { point, center, log_ratio_std, direction_std, pose_covariance };
         let found = metric_pose(self.frame, &sighted);
         // Lengths that no number holds are no metres.
@@ -150,6 +159,11 @@ pub(super) fn in_units(travel: Travel) -> Travel {
 /// Time from the first to the last of some poses, seconds.
 pub(super) fn span<T>(poses: &[T], time_s: impl Fn(&T) -> f64) -> f64 {
     poses.first().zip(poses.last()).map_or(0.0, |(first, last)| time_s(last) - time_s(first))
+}
+
+/// Covariance of the center of the body in a frame, in the frame and unit of the background.
+fn body_covariance(center: Option<BodyCenter>, pose: &ObjectPose) -> Matrix3<f64> {
+    center.map_or_else(Matrix3::zeros, |center| center.covariance_in_world(&pose.world_from_object))
 }
 
 fn log_ratio_std(trajectory: &ObjectTrajectory) -> f64 {

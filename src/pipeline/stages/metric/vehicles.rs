@@ -232,6 +232,7 @@ mod tests {
             confidence: 1.0,
             scale: ScaleEstimate::new(1.0, ScaleMethod::Joint),
             ground: BTreeMap::new(),
+            body_center: None,
             verdict: Some(Verdict { state, reasons: Vec::new() }),
             dimensions: None,
             travel: None,

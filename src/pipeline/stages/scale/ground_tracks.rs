@@ -109,6 +109,7 @@ mod tests {
             confidence: 1.0,
             scale: ScaleEstimate::new(1.0, ScaleMethod::Joint),
             ground: BTreeMap::new(),
+            body_center: None,
             verdict: Some(Verdict { state, reasons: vec![Reason::doubts(ReasonKind::Size, 1.0, "half as large")] }),
             dimensions: None,
             travel: None,
