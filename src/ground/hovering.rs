@@ -51,8 +51,20 @@ pub struct StatedTilt {
     pub angles: [f64; 2],
     /// Their standard deviations; `None` where nothing is stated.
     pub std: [Option<f64>; 2],
-    /// True if a sensor of the vertical states it: then a level horizon is no further evidence.
-    pub is_vertical: bool,
+    /// Of what it is the tilt.
+    pub kind: TiltKind,
+}
+
+/// Of what a source states the tilt.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum TiltKind {
+    /// The ground.
+    Ground,
+    /// The vertical, by a sensor: then a level horizon is no further evidence.
+    Vertical,
+    /// The plane of a map in whose frame positions are. It is the ground as it is: rays meet it where a homography to
+    /// the map would put them, whatever its error, and would not meet a better plane there.
+    Map,
 }
 
 /// A source of the normal against all others.
@@ -73,7 +85,13 @@ impl StatedTilt {
         let across = (y * y + z * z).max(f64::MIN_POSITIVE);
         let by_up = [Vector3::new(0.0, z, -y) / across, Vector3::x() / across.sqrt()];
         let std = by_up.map(|by| Some(by.dot(&(covariance * by)).max(0.0).sqrt()));
-        Self { source: source.to_owned(), angles: [(-z).atan2(-y), x.asin()], std, is_vertical: false }
+        Self { source: source.to_owned(), angles: [(-z).atan2(-y), x.asin()], std, kind: TiltKind::Ground }
+    }
+
+    /// The angles and their covariance, if both are stated.
+    fn all(&self) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+        let variances = Vector2::new(self.std[0]?.powi(2), self.std[1]?.powi(2));
+        Some((Vector2::from(self.angles), Matrix2::from_diagonal(&variances)))
     }
 
     /// Differences of angles from the stated ones with their standard deviations.
@@ -142,7 +160,8 @@ pub fn hovering_ground(
     let world_from_cam = first.cam_from_world.rotation.inverse();
     let problem = Problem { vehicles: &vehicles, world_from_cam };
     let all: Vec<&StatedTilt> = stated.iter().collect();
-    let (angles, covariance) = problem.minimum(&all)?;
+    let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.all());
+    let (angles, covariance) = of_map.or_else(|| problem.minimum(&all))?;
     let contradiction = |k: usize| {
         let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
         let (angles, covariance) = problem.minimum(&others)?;
@@ -307,7 +326,7 @@ impl Problem<'_> {
         let size = at.len();
         let mut local = Local { cost: 0.0, gradient: DVector::zeros(size), information: DMatrix::zeros(size, size) };
         let angles = Vector2::new(at[0], at[1]);
-        if !stated.iter().any(|tilt| tilt.is_vertical) {
+        if !stated.iter().any(|tilt| tilt.kind == TiltKind::Vertical) {
             local.add(angles.y / ROLL_STD, &[(1, ROLL_STD.recip())], 1.0, RobustLoss::Squared);
         }
         for (k, off, std) in stated.iter().flat_map(|tilt| tilt.differences(angles)) {
@@ -454,13 +473,25 @@ mod tests {
                 &background,
                 &[],
                 vec![StatedTilt {
-                    is_vertical: true,
+                    kind: TiltKind::Vertical,
                     ..StatedTilt::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))
                 }],
             )
             .unwrap();
             assert!(found.normal_in_world.angle(&up) < 1e-4 && (found.tilt_std - 0.0283).abs() < 1e-3, "{found:?}");
         }
+    }
+
+    #[test]
+    fn the_plane_of_a_map_is_taken_as_it_is() {
+        let (background, vehicles, up) = scene(0.6, 0.0, 1);
+        let of_map = up_in_cam(Vector2::new(0.63, 0.01));
+        let tilt = |kind| StatedTilt { kind, ..StatedTilt::of_up("map", &of_map, &(Matrix3::identity() * 4e-4)) };
+        let found = |kind| hovering_ground(&background, &vehicles, vec![tilt(kind)]).unwrap();
+        let (map, ground) = (found(TiltKind::Map), found(TiltKind::Ground));
+        assert!(map.normal_in_world.angle(&of_map) < 1e-9 && map.normal_in_world.angle(&up) > 0.02);
+        assert!(ground.normal_in_world.angle(&of_map) > 1e-3, "fused with vehicles");
+        assert!(map.tilt_std > ground.tilt_std && map.num_vehicles == ground.num_vehicles);
     }
 
     #[test]
@@ -471,7 +502,7 @@ mod tests {
                 source: "pitch".to_owned(),
                 angles: [pitch, 0.0],
                 std: [Some(0.01), None],
-                is_vertical: false,
+                kind: TiltKind::Ground,
             }]
         };
         let stated = hovering_ground(&background, &[], pitch(0.6)).unwrap();

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::telemetry::{Origin, Telemetry};
 use super::{alignment, attitude, clock_offsets, telemetry};
-use crate::ground::{SLOPE_STD, StatedTilt};
+use crate::ground::{SLOPE_STD, StatedTilt, TiltKind};
 use crate::io;
 use crate::mapper::SwayGround;
 use crate::metric::{Alignment, MapPoint, Offset, Orientation, PositionFix, camera_over_map};
@@ -66,7 +66,7 @@ pub(in crate::pipeline) fn tilts(
             source: "--camera-pitch".to_owned(),
             angles,
             std: [Some(std), None],
-            is_vertical: false,
+            kind: TiltKind::Ground,
         });
     }
     if let Some(log) = telemetry::find(run, &mut Outcome::default()) {
@@ -80,12 +80,13 @@ pub(in crate::pipeline) fn tilts(
         // The ground is not level.
         found.extend(vertical.map(|(up, std)| {
             let tilt = of_up("attitude of the camera in telemetry", up, in_all_directions(std.hypot(SLOPE_STD)));
-            StatedTilt { is_vertical: true, ..tilt }
+            StatedTilt { kind: TiltKind::Vertical, ..tilt }
         }));
     }
     if let Some(map) = on_map_points(run, background)? {
         let up = map.alignment.metric_from_world.rotation.inverse() * Vector3::z();
-        found.push(of_up("--map-points", up, in_all_directions(map.alignment.tilt_std())));
+        let tilt = of_up("--map-points", up, in_all_directions(map.alignment.tilt_std()));
+        found.push(StatedTilt { kind: TiltKind::Map, ..tilt });
     }
     Ok(found)
 }

@@ -159,8 +159,7 @@ fn a_parked_car_points_along_its_longer_side() {
 fn the_middle_of_a_body_is_found_from_one_side_of_it() {
     let turn = UnitQuaternion::from_euler_angles(0.4, -0.2, 1.1);
     let other_frame = Rigid3::new(turn, Vector3::new(0.7, -0.3, 5.0));
-    let mut world =
-        world(&[35.0, 50.0, 65.0, 80.0, 100.0, 115.0, 130.0, 145.0]).drive().in_frame(&other_frame);
+    let mut world = world(&[35.0, 50.0, 65.0, 80.0, 100.0, 115.0, 130.0, 145.0]).drive().in_frame(&other_frame);
     // Only the points of that side.
     let old_from_new = other_frame.inverse();
     world.object.points.retain(|_, point| (old_from_new * point.position).y > 0.2);
