@@ -69,7 +69,11 @@ const WORSE: f64 = 9.0;
 /// Angle between normals that are another one, radians.
 const ANOTHER: f64 = 0.1;
 
-/// The plane below a camera that sways; `None` where its motion shows none.
+/// Largest inclination of a camera, radians: straight down over a slope. Beyond it is the image upside down.
+const MOST_INCLINATION: f64 = 1.65;
+
+/// The plane below a camera that sways; `None` where its motion shows none, or one above which the image is upside down:
+/// then it is noise.
 ///
 /// * `rotations` – by view, camera from world; `None` if not registered.
 /// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
@@ -84,6 +88,9 @@ pub fn sway_ground(
     let mut found: Vec<(f64, State)> = starts.map(|start| problem.adjusted(start)).collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (best, state) = found.first()?;
+    if (state.rotations[0] * state.normal).y > -MOST_INCLINATION.cos() {
+        return None;
+    }
     let noise = problem.noise_px(state);
     let rival = found.iter().find(|(_, other)| other.normal.angle(&state.normal) > ANOTHER);
     if rival.is_some_and(|(cost, _)| (cost - best) * 2.0 / noise.powi(2) < WORSE) {
@@ -424,6 +431,8 @@ impl Problem {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Point2;
+
     use super::super::rotating_camera::{rotating_camera, tests::views};
     use super::*;
 
@@ -445,6 +454,23 @@ mod tests {
             assert!(off < 3.0 * std && std < 0.05, "{off} {std}");
             assert!((log_focal + focal.ln()).abs() < 3.0 * focal_std && focal_std <= 0.011, "{found:?}");
         }
+    }
+
+    #[test]
+    fn a_plane_above_an_upright_image_is_noise() {
+        let (table, camera, _) = views(0.4);
+        let rotations = |turn: UnitQuaternion<f64>| -> Vec<_> {
+            let poses = rotating_camera(&table, &camera).unwrap().poses;
+            poses.iter().map(|pose| Some(turn * pose.as_ref()?.rotation)).collect()
+        };
+        assert!(sway_ground(&table, &camera, &rotations(UnitQuaternion::identity()), 0.0).is_some());
+        // The same tracks in an image that is turned by half a turn.
+        let (mut turned, [width, height]) = (table.clone(), [camera.width, camera.height].map(f64::from));
+        for pixel in turned.views.iter_mut().flat_map(|view| &mut view.pixels) {
+            *pixel = Point2::new(width - pixel.x, height - pixel.y);
+        }
+        let half_a_turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), std::f64::consts::PI);
+        assert!(sway_ground(&turned, &camera, &rotations(half_a_turn), 0.0).is_none());
     }
 
     #[test]
