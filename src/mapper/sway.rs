@@ -72,8 +72,8 @@ const ANOTHER: f64 = 0.1;
 /// Largest inclination of a camera, radians: straight down over a slope. Beyond it is the image upside down.
 const MOST_INCLINATION: f64 = 1.65;
 
-/// The plane below a camera that sways; `None` where its motion shows none, or one above which the image is upside down:
-/// then it is noise.
+/// The plane below a camera that sways; `None` where its motion shows none, or one above which the image is upside
+/// down: then it is noise.
 ///
 /// * `rotations` – by view, camera from world; `None` if not registered.
 /// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
