@@ -44,8 +44,8 @@ pub struct Subject<'a> {
     pub options: &'a Options,
 }
 
-/// Size of an object, in units of the background, and its middle; `None` for what was not visible. Standard deviations are
-/// total ones, including that of the scale ratio.
+/// Size of an object, in units of the background, and its middle; `None` for what was not visible. Standard deviations
+/// are total ones, including that of the scale ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extents {
     /// Between its ends.
