@@ -202,9 +202,8 @@ impl<'a, 'r> Scene<'a, 'r> {
         if let Some(by_points) = by_points {
             let trajectory = placed.trajectory.as_ref().ok();
             let motion = trajectory.and_then(|found| TrajectoryEvidence::of(found, &tracked.gaps, self.background));
-            let by_shaking =
-                shares_cameras.then(|| trajectory::motion_by_shaking(evidence.object, self.frames)).flatten();
-            let at_rest = movement::at_rest_by_shaking(by_points, by_shaking);
+            let by_shaking = || by_points.at_rest_by_shaking(evidence.object, self.frames);
+            let at_rest = shares_cameras.then(by_shaking).flatten();
             is_shown = at_rest.is_some();
             tracked.movement = at_rest.unwrap_or_else(|| movement::revised(by_points, motion.as_ref()));
         }

@@ -15,13 +15,13 @@ use serde_json::{Value, json};
 
 use super::background::{self, ModelReport};
 use super::track;
-use super::track::movement::PointFindings;
+use super::track::movement::{PointFinding, PointFindings};
 use super::{follow, ground};
 use crate::camera::Camera;
+use crate::features::TrackTable;
 use crate::ground::HoveringGround;
 use crate::io::interchange::colmap;
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
-use crate::motion::MovementReason;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models::{self, Target};
 use crate::pipeline::inputs::{hovering, order};
@@ -188,16 +188,32 @@ struct ObjectContext<'a> {
 }
 
 impl ObjectContext<'_> {
-    /// Returns true if a vehicle may share the cameras of the background, and that is not left out on request.
-    fn may_be_stationary(&self, run: &Run, object: &TrackedObject) -> bool {
-        use MovementReason::{MovesForATime, PointsMove};
-        let moves = || matches!(self.by_points.get(&object.id)?.reason, Some(PointsMove | MovesForATime)).then_some(());
-        let is_possible = match run.options.scale.stationary {
-            StationaryVehicles::None => false,
-            StationaryVehicles::Found => moves().is_none(),
-            StationaryVehicles::All => true,
+    /// The model of a vehicle that may be stationary, triangulated from the background's cameras. `None` where its
+    /// points or its foot show motion, which only the shaking of the camera contradicts, or on request.
+    fn stationary(
+        &self,
+        run: &Run,
+        object: &TrackedObject,
+        table: &TrackTable,
+        camera: Camera,
+        options: &mapper::Options,
+    ) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
+        let by_points = match run.options.scale.stationary {
+            StationaryVehicles::None => return Ok(None),
+            StationaryVehicles::Found => self.by_points.get(&object.id),
+            StationaryVehicles::All => None,
         };
-        is_possible && !self.hovers
+        if self.hovers || by_points.is_some_and(PointFinding::points_move) {
+            return Ok(None);
+        }
+        let Some(found) = background::triangulate(run, table, camera, options, self.background)? else {
+            return Ok(None);
+        };
+        let frames = run.frames()?;
+        let moves = by_points.is_some_and(|by_points| {
+            by_points.finding.state == Movement::Moving && by_points.at_rest_by_shaking(&found.0, frames).is_none()
+        });
+        Ok((!moves).then_some(found))
     }
 }
 
@@ -224,12 +240,7 @@ fn one_object(
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            let shared = if place.may_be_stationary(run, object) {
-                background::triangulate(run, &table, camera, &options, place.background)?
-            } else {
-                None
-            };
-            match shared {
+            match place.stationary(run, object, &table, camera, &options)? {
                 Some(found) => found,
                 None => {
                     let cameras = [(camera, mapper::Intrinsics::FIXED)];

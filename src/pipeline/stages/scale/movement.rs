@@ -52,37 +52,21 @@ impl TrajectoryEvidence {
     }
 }
 
-/// Stationary, if a camera that shakes shows it; `None` where points move or the camera is too calm.
-///
-/// * `motion` – relative motion by the camera's shaking.
-pub(super) fn at_rest_by_shaking(by_points: &PointFinding, motion: Option<RelativeMotion>) -> Option<MovementFinding> {
-    use MovementReason::{MovesForATime, PointsMove};
-    let motion = motion.filter(|_| !matches!(by_points.reason, Some(PointsMove | MovesForATime)))?;
-    let odds = motion.odds_of_motion(0.0);
-    let reason = format!(
-        "seen by the shaking of the camera at {} times the inverse of the distance that it has if stationary (odds of \
-         motion {odds:.2}:1)",
-        with_std(motion.slope, motion.std)
-    );
-    (odds <= 1.0 / CLEAR_ODDS).then_some(MovementFinding { state: Movement::Stationary, reason })
-}
-
 /// The finding by points, revised by the trajectory.
 ///
 /// * Points that move against the background decide; so do odds of the trajectory that are clear.
 /// * Where points and trajectory contradict one another, and where the odds of the trajectory are on the side of motion
 ///   but points are stationary, the state is undetermined.
 pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvidence>) -> MovementFinding {
-    use MovementReason::{Divided, MovesForATime, PointsMove};
     let before = &by_points.finding;
     let Some(evidence) = evidence else { return before.clone() };
     let (odds, motion) = evidence.odds();
     let state = match (by_points.reason, before.state) {
-        (Some(PointsMove | MovesForATime), _) => before.state,
+        _ if by_points.points_move() => before.state,
         (_, Movement::Stationary) if odds > 1.0 => Movement::Undetermined,
         (_, Movement::Moving) if odds <= 1.0 / CLEAR_ODDS => Movement::Undetermined,
         _ if odds >= CLEAR_ODDS => Movement::Moving,
-        (Some(Divided), _) => before.state,
+        (Some(MovementReason::Divided), _) => before.state,
         _ if odds <= 1.0 / CLEAR_ODDS => Movement::Stationary,
         _ => before.state,
     };

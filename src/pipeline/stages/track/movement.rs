@@ -6,12 +6,16 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 use super::kept_masks::KeptMasks;
-use crate::motion::{ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces};
+use crate::math::rounding::with_std;
+use crate::motion::{CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::motion::{self, Points, World};
-use crate::scene::{DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, TrackedObject};
+use crate::scene::{
+    DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, TrackedObject,
+};
 use crate::tracking::MaskEvidence;
+use crate::trajectory::motion_by_shaking;
 
 /// Finding where nothing was examined.
 pub(super) fn unknown() -> MovementFinding {
@@ -25,6 +29,31 @@ pub(in crate::pipeline) struct PointFinding {
     pub(in crate::pipeline) finding: MovementFinding,
     /// Its evidence; `None` where no points were examined.
     pub(in crate::pipeline) reason: Option<MovementReason>,
+}
+
+impl PointFinding {
+    /// Returns true if points themselves leave the lines of stationary ones, in part of the frames at least.
+    pub(in crate::pipeline) fn points_move(&self) -> bool {
+        matches!(self.reason, Some(MovementReason::PointsMove | MovementReason::MovesForATime))
+    }
+
+    /// Stationary, if a camera that shakes shows it; `None` where points move or the camera is too calm.
+    ///
+    /// * `object` – triangulated from the background's cameras.
+    pub(in crate::pipeline) fn at_rest_by_shaking(
+        &self,
+        object: &Reconstruction,
+        frames: &[Frame],
+    ) -> Option<MovementFinding> {
+        let motion = motion_by_shaking(object, frames).filter(|_| !self.points_move())?;
+        let odds = motion.odds_of_motion(0.0);
+        let reason = format!(
+            "seen by the shaking of the camera at {} times the inverse of the distance that it has if stationary (odds \
+             of motion {odds:.2}:1)",
+            with_std(motion.slope, motion.std)
+        );
+        (odds <= 1.0 / CLEAR_ODDS).then_some(MovementFinding { state: Movement::Stationary, reason })
+    }
 }
 
 /// Findings by points of all objects.
