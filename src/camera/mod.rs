@@ -24,6 +24,10 @@ pub use model::Model;
 /// Number of intrinsic parameters that can be adjusted: fx, fy, cx, cy, k1, k2, in this order.
 pub const NUM_INTRINSICS: usize = 6;
 
+/// Largest inclination of a camera below the horizon, radians: straight down, over a slope. Beyond it the image is
+/// upside down.
+pub const MAX_INCLINATION: f64 = 1.65;
+
 /// Intrinsic parameters of one camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {

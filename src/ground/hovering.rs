@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
 use super::local::{LocalPlanes, SkipReason, SkippedFrame, lowest_foot, object_pixels};
-use crate::camera::Camera;
+use crate::camera::{Camera, MAX_INCLINATION};
 use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconstruction};
 
@@ -89,7 +89,7 @@ impl StatedTilt {
     }
 
     /// The angles and their covariance, if both are stated.
-    fn all(&self) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+    fn known_angles(&self) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         let variances = Vector2::new(self.std[0]?.powi(2), self.std[1]?.powi(2));
         Some((Vector2::from(self.angles), Matrix2::from_diagonal(&variances)))
     }
@@ -121,8 +121,8 @@ const REACH: usize = 3;
 /// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one
 /// degree, poles within some.
 const ROLL_STD: f64 = 0.035;
-/// Inclinations that are tried, radians: from a horizon just outside the image to straight down, over a slope.
-const PITCHES: [f64; 2] = [0.03, 1.65];
+/// Smallest inclination that is tried, radians: a horizon just outside the image.
+const MIN_INCLINATION: f64 = 0.03;
 const NUM_PITCHES: usize = 120;
 /// Standard deviation of the tilt beyond which the ground is unknown, radians.
 const MAX_TILT_STD: f64 = 0.15;
@@ -160,7 +160,7 @@ pub fn hovering_ground(
     let world_from_cam = first.cam_from_world.rotation.inverse();
     let problem = Problem { vehicles: &vehicles, world_from_cam };
     let all: Vec<&StatedTilt> = stated.iter().collect();
-    let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.all());
+    let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.known_angles());
     let (angles, covariance) = of_map.or_else(|| problem.minimum(&all))?;
     let contradiction = |k: usize| {
         let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
@@ -278,7 +278,7 @@ impl Problem<'_> {
     fn minimum(&self, stated: &[&StatedTilt]) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         const ROUNDS: usize = 40;
         let candidates = (0..=NUM_PITCHES).map(|k| {
-            let pitch = PITCHES[0] + (PITCHES[1] - PITCHES[0]) * k as f64 / NUM_PITCHES as f64;
+            let pitch = MIN_INCLINATION + (MAX_INCLINATION - MIN_INCLINATION) * k as f64 / NUM_PITCHES as f64;
             self.start(Vector2::new(pitch, 0.0))
         });
         let cost = |at: &Parameters| self.local(at, stated).cost;

@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::LiveError;
+use super::{LiveError, PATIENCE};
+use crate::files::Growth;
 use crate::scene::Frame;
 use crate::video::{Frames, VideoError};
 
@@ -27,6 +28,18 @@ pub(super) enum Next<T> {
     Over,
 }
 
+/// Frames of a recording, and how they come.
+pub(super) struct Input {
+    pub(super) frames: Frames,
+    /// True if frames come at the pace of their time stamps, false if the source sets the pace.
+    pub(super) is_paced: bool,
+    /// Of the recording.
+    pub(super) growth: Arc<Growth>,
+}
+
+/// Frames that a decoder holds back at most, and gives at once when the source has ended: reordering of H.264.
+const MAX_HELD_BACK: usize = 16;
+
 /// A queue of length one between decoder and perception.
 pub(super) struct Newest {
     slot: Arc<(Mutex<Slot>, Condvar)>,
@@ -35,6 +48,8 @@ pub(super) struct Newest {
 #[derive(Default)]
 struct Slot {
     frame: Option<Box<Arrived>>,
+    /// True once frames come at their own rate.
+    has_begun: bool,
     num_dropped: u64,
     is_over: bool,
     error: Option<VideoError>,
@@ -43,20 +58,23 @@ struct Slot {
 impl Newest {
     /// Decodes on a thread of its own.
     ///
-    /// * `is_paced` – true if frames come at the pace of their time stamps, false if the source sets the pace.
-    ///
     /// # Errors
     /// [`LiveError::Thread`].
-    pub(super) fn start(frames: Frames, is_paced: bool) -> Result<Self, LiveError> {
-        let slot: Arc<(Mutex<Slot>, Condvar)> = Arc::default();
+    pub(super) fn start(input: Input) -> Result<Self, LiveError> {
+        let begun = Slot { has_begun: input.is_paced, ..Slot::default() };
+        let slot = Arc::new((Mutex::new(begun), Condvar::new()));
         let filled = slot.clone();
         let work = move || {
-            let mut start = None;
+            let Input { frames, is_paced, growth } = input;
+            let (mut start, mut num_held_back) = (None, 0);
             for item in frames {
                 match item {
                     Ok((frame, picture)) => {
                         if is_paced {
                             wait_until(&mut start, frame.time_s);
+                        } else if num_held_back < MAX_HELD_BACK && growth.is_finished() {
+                            num_held_back += 1;
+                            wait_until_taken(&filled);
                         }
                         put(&filled, Arrived { frame, picture, at: Instant::now() });
                     }
@@ -76,8 +94,18 @@ impl Newest {
         if slot.frame.is_none() && !slot.is_over {
             slot = self.slot.1.wait_timeout(slot, patience).unwrap_or_else(PoisonError::into_inner).0;
         }
+        if slot.frame.is_some() && !slot.has_begun {
+            // Those that were read to determine the format come at once: a gap would follow the first of them.
+            slot.has_begun = true;
+            drop(slot);
+            thread::sleep(PATIENCE);
+            slot = lock(&self.slot.0);
+        }
         match (slot.frame.take(), slot.is_over) {
-            (Some(frame), _) => Next::Frame(frame),
+            (Some(frame), _) => {
+                self.slot.1.notify_all();
+                Next::Frame(frame)
+            }
             (None, true) => Next::Over,
             (None, false) => Next::Nothing,
         }
@@ -102,6 +130,14 @@ fn put((slot, changed): &(Mutex<Slot>, Condvar), arrived: Arrived) {
     let mut slot = lock(slot);
     slot.num_dropped += u64::from(slot.frame.replace(Box::new(arrived)).is_some());
     changed.notify_all();
+}
+
+/// Waits until no frame waits, or nobody takes it any more.
+fn wait_until_taken(shared: &Arc<(Mutex<Slot>, Condvar)>) {
+    let mut slot = lock(&shared.0);
+    while slot.frame.is_some() && Arc::strong_count(shared) > 1 {
+        slot = shared.1.wait_timeout(slot, PATIENCE).unwrap_or_else(PoisonError::into_inner).0;
+    }
 }
 
 /// Waits until a time of the video, which began when its first frame was decoded.
@@ -129,5 +165,30 @@ mod tests {
         assert!(matches!(newest.take(Duration::ZERO), Next::Nothing));
         lock(&slot.0).is_over = true;
         assert!(matches!(newest.take(Duration::ZERO), Next::Over));
+    }
+
+    #[test]
+    fn what_the_decoder_held_back_waits_until_it_is_taken() {
+        let slot: Arc<(Mutex<Slot>, Condvar)> = Arc::default();
+        let newest = Newest { slot: slot.clone() };
+        let arrived = |id| {
+            let frame = Frame { id: FrameId(id), name: String::new(), time_s: f64::from(id) };
+            Arrived { frame, picture: RgbImage::new(1, 1), at: Instant::now() }
+        };
+        put(&slot, arrived(0));
+        let held_back = thread::spawn(move || {
+            for id in 1..3 {
+                wait_until_taken(&slot);
+                put(&slot, arrived(id));
+            }
+            wait_until_taken(&slot);
+        });
+        for id in 0..2 {
+            let Next::Frame(taken) = newest.take(Duration::from_secs(10)) else { panic!("frame {id} waits") };
+            assert_eq!((taken.frame.id, newest.num_dropped()), (FrameId(id), 0));
+        }
+        // Nobody takes the last frame any more.
+        drop(newest);
+        held_back.join().unwrap();
     }
 }

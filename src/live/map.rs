@@ -18,6 +18,7 @@ use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_tab
 use super::{LiveError, Purpose};
 use crate::camera::Camera;
 use crate::features::TrackTable;
+use crate::features::tracks::View;
 use crate::ground::{
     BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, SLOPE_STD, camera_height, dominant_plane_points,
     find_mount,
@@ -238,7 +239,8 @@ impl Mapper {
         self.last = Some(model.clone());
         let (keyframes, points) = (model.images.len(), model.points.len());
         register_others(&mut model, snapshot, &camera);
-        let dominant = dominant_plane_points(self.last.as_ref().unwrap_or(&model), &self.options.ground, seed);
+        let model = self.with_all_points(model, snapshot, &camera)?;
+        let dominant = dominant_plane_points(&model, &self.options.ground, seed);
         let mount = find_mount(&model, None, &self.options.ground, seed).ok();
         let problem = dominant.as_ref().err().map(ToString::to_string);
         let ground = Ground { dominant: dominant.ok(), mount };
@@ -309,6 +311,22 @@ impl Mapper {
         } else {
             Ok((model, report))
         })
+    }
+
+    /// A map with the points of all tracks of the window, from the poses that it has: those near the camera are seen
+    /// by few keyframes, and local ground planes rest on them.
+    fn with_all_points(
+        &self,
+        model: Reconstruction,
+        snapshot: &Snapshot,
+        camera: &Camera,
+    ) -> Result<Reconstruction, LiveError> {
+        let table = &snapshot.table;
+        let pose = |view: &View| Some(model.images.get(&view.image)?.cam_from_world);
+        let poses: Vec<Option<Rigid3>> = table.views.iter().map(pose).collect();
+        let (found, ..) = mapper::triangulate(table, &[*camera], &poses, &self.options.background.mapper)?;
+        tracing::debug!("{} points, {} with those of all tracks", model.points.len(), found.points.len());
+        Ok(if found.points.len() > model.points.len() { found } else { model })
     }
 
     /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.

@@ -46,7 +46,7 @@ use crate::networks::PerceptionError;
 use crate::pipeline::{IntrinsicsSource, Options};
 use crate::scene::Frame;
 use crate::video::{Source, VideoError};
-use frames::Next;
+use frames::{Input, Next};
 use load::Load;
 use map::{MIN_KEYS, Mapper, NoMap, WorldMap};
 use perception::{Perceived, PerceptionThread};
@@ -142,7 +142,8 @@ pub fn run(
     let perception = PerceptionThread::start(options, &load)?;
     let source = Source::open_growing(job.recording, &options.video, job.growth.clone())?;
     let (camera, known) = camera(&source, options)?;
-    perception.begin(source.frames()?, job.is_paced)?;
+    let (is_paced, growth) = (job.is_paced, job.growth.clone());
+    perception.begin(Input { frames: source.frames()?, is_paced, growth })?;
     let mut live = Live {
         options,
         sink,

@@ -12,7 +12,7 @@ use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::frames::{Arrived, Newest, Next};
+use super::frames::{Arrived, Input, Newest, Next};
 use super::load::Load;
 use super::{LiveError, PATIENCE};
 use crate::ffi::onnx::Resources;
@@ -25,7 +25,6 @@ use crate::pipeline::{DetectorChoice, MaskChoice, Options};
 use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect, Topic};
 use crate::tracking::{BoxSource, ConfirmedObject, FrameInput, Predecessor, TrackedMask, Tracker};
 use crate::trajectory::Silhouette;
-use crate::video::Frames;
 
 /// Object that is followed.
 #[derive(Clone, Debug)]
@@ -74,7 +73,7 @@ pub(super) struct Perceived {
 
 /// The thread of perception.
 pub(super) struct PerceptionThread {
-    frames: Sender<(Frames, bool)>,
+    input: Sender<Input>,
     perceived: Receiver<Result<Box<Perceived>, LiveError>>,
 }
 
@@ -86,7 +85,7 @@ impl PerceptionThread {
     /// # Errors
     /// [`LiveError::Perception`] where a network is missing, [`LiveError::Thread`].
     pub(super) fn start(options: &Options, load: &Arc<Mutex<Load>>) -> Result<Self, LiveError> {
-        let (frames, source) = channel();
+        let (input, source) = channel();
         let (sender, perceived) = sync_channel(1);
         let (ready, loaded) = channel();
         let (options, load) = (options.clone(), Arc::downgrade(load));
@@ -94,24 +93,22 @@ impl PerceptionThread {
             Err(error) => drop(ready.send(Err(error))),
             Ok(perception) => {
                 drop(ready.send(Ok(())));
-                if let Ok((frames, is_paced)) = source.recv() {
-                    perceive(perception, frames, is_paced, &load, &sender);
+                if let Ok(input) = source.recv() {
+                    perceive(perception, input, &load, &sender);
                 }
             }
         };
         thread::Builder::new().name("perception".into()).spawn(work).map_err(LiveError::Thread)?;
         loaded.recv().map_err(|_| ended())??;
-        Ok(Self { frames, perceived })
+        Ok(Self { input, perceived })
     }
 
     /// Begins with the frames of a video.
     ///
-    /// * `is_paced` – true if frames come at the pace of their time stamps.
-    ///
     /// # Errors
     /// [`LiveError::Thread`].
-    pub(super) fn begin(&self, frames: Frames, is_paced: bool) -> Result<(), LiveError> {
-        self.frames.send((frames, is_paced)).map_err(|_| ended())
+    pub(super) fn begin(&self, input: Input) -> Result<(), LiveError> {
+        self.input.send(input).map_err(|_| ended())
     }
 
     /// Takes the next frame; waits for one up to `patience`.
@@ -134,12 +131,11 @@ fn ended() -> LiveError {
 /// Processes frames until there are no more, or nobody takes them.
 fn perceive(
     mut perception: Perception,
-    frames: Frames,
-    is_paced: bool,
+    input: Input,
     load: &Weak<Mutex<Load>>,
     sender: &SyncSender<Result<Box<Perceived>, LiveError>>,
 ) {
-    let newest = match Newest::start(frames, is_paced) {
+    let newest = match Newest::start(input) {
         Ok(newest) => newest,
         Err(error) => return drop(sender.send(Err(error))),
     };

@@ -14,7 +14,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::camera::Camera;
+use crate::camera::{Camera, MAX_INCLINATION};
 use crate::features::tracks::TrackTable;
 use crate::math::{STD_PER_MAD, median};
 
@@ -69,9 +69,6 @@ const WORSE: f64 = 9.0;
 /// Angle between normals that are another one, radians.
 const ANOTHER: f64 = 0.1;
 
-/// Largest inclination of a camera, radians: straight down over a slope. Beyond it is the image upside down.
-const MOST_INCLINATION: f64 = 1.65;
-
 /// The plane below a camera that sways; `None` where its motion shows none, or one above which the image is upside
 /// down: then it is noise.
 ///
@@ -88,7 +85,7 @@ pub fn sway_ground(
     let mut found: Vec<(f64, State)> = starts.map(|start| problem.adjusted(start)).collect();
     found.sort_by(|a, b| a.0.total_cmp(&b.0));
     let (best, state) = found.first()?;
-    if (state.rotations[0] * state.normal).y > -MOST_INCLINATION.cos() {
+    if (state.rotations[0] * state.normal).y > -MAX_INCLINATION.cos() {
         return None;
     }
     let noise = problem.noise_px(state);
