@@ -5,6 +5,8 @@ mod cot;
 #[cfg(feature = "live")]
 mod mavlink;
 #[cfg(feature = "live")]
+mod mavlink_log;
+#[cfg(feature = "live")]
 mod network;
 #[cfg(not(feature = "live"))]
 #[path = "live/no_network.rs"]

@@ -27,7 +27,9 @@ use crate::mapper::{self, Intrinsics, PosePriors};
 use crate::math::{Rigid3, Sim3, median, umeyama};
 use crate::metric::{Fused, Gravity, Kind, Level, Measured, ObservedPoint, Source, frame_on_ground, fuse};
 use crate::pipeline::Options;
-use crate::scene::{Frame, FrameId, GroundPlane, MetricFrame, MetricVerdict, ObjectId, Point3d, Reconstruction};
+use crate::scene::{
+    Frame, FrameId, GroundPlane, Image, MetricFrame, MetricVerdict, ObjectId, Observation, Point3d, Reconstruction,
+};
 use crate::trajectory::{Outlines, outline_pixels};
 
 /// Fewest keyframes of a first map: two seconds of a camera that moves.
@@ -41,6 +43,9 @@ const MIN_TRIANGULATED: f64 = 0.3;
 const MIN_REGISTERED: f64 = 0.7;
 /// Views that must show a point: keyframes are far apart, and of two every match is consistent.
 const MIN_TRACK: usize = 3;
+/// Views from which further points are triangulated, evenly spread: twice the keyframes. All views of a full window
+/// take 0.7 s a map.
+const DENSE_VIEWS: usize = 60;
 /// Error of image positions by poses of the last map, pixels.
 const PRIOR_PX: f64 = 4.0;
 /// Standard deviation of the focal length, as a share, below which an estimate is not trusted: windows share views,
@@ -239,7 +244,9 @@ impl Mapper {
         self.last = Some(model.clone());
         let (keyframes, points) = (model.images.len(), model.points.len());
         register_others(&mut model, snapshot, &camera);
-        let model = self.with_all_points(model, snapshot, &camera)?;
+        if snapshot.purpose != Purpose::Revision {
+            model = self.with_more_points(model, snapshot, &camera)?;
+        }
         let dominant = dominant_plane_points(&model, &self.options.ground, seed);
         let mount = find_mount(&model, None, &self.options.ground, seed).ok();
         let problem = dominant.as_ref().err().map(ToString::to_string);
@@ -313,20 +320,35 @@ impl Mapper {
         })
     }
 
-    /// A map with the points of all tracks of the window, from the poses that it has: those near the camera are seen
-    /// by few keyframes, and local ground planes rest on them.
-    fn with_all_points(
+    /// A map with points that keyframes alone do not show, from the poses that it has: those near the camera are seen
+    /// for less than a second, and local ground planes rest on them.
+    fn with_more_points(
         &self,
         model: Reconstruction,
         snapshot: &Snapshot,
         camera: &Camera,
     ) -> Result<Reconstruction, LiveError> {
-        let table = &snapshot.table;
+        let views = &snapshot.table.views;
+        let registered: Vec<usize> =
+            (0..views.len()).filter(|&view| model.images.contains_key(&views[view].image)).collect();
+        let stride = registered.len().div_ceil(DENSE_VIEWS).max(1);
+        let chosen: Vec<usize> = registered.iter().copied().step_by(stride).collect();
+        let table = sub_table(&snapshot.table, &chosen, MIN_TRACK);
         let pose = |view: &View| Some(model.images.get(&view.image)?.cam_from_world);
         let poses: Vec<Option<Rigid3>> = table.views.iter().map(pose).collect();
-        let (found, ..) = mapper::triangulate(table, &[*camera], &poses, &self.options.background.mapper)?;
-        tracing::debug!("{} points, {} with those of all tracks", model.points.len(), found.points.len());
-        Ok(if found.points.len() > model.points.len() { found } else { model })
+        let (mut found, ..) = mapper::triangulate(&table, &[*camera], &poses, &self.options.background.mapper)?;
+        tracing::debug!("{} points, {} with those of more views", model.points.len(), found.points.len());
+        if found.points.len() <= model.points.len() {
+            return Ok(model);
+        }
+        let others: Vec<usize> =
+            registered.into_iter().filter(|&view| !found.images.contains_key(&views[view].image)).collect();
+        for (&view, points) in others.iter().zip(known_points(&snapshot.table, &found, &others)) {
+            let View { image: id, pixels, .. } = &views[view];
+            let observations = pixels.iter().zip(points).map(|(&pixel, point)| Observation { pixel, point }).collect();
+            found.images.extend(model.images.get(id).map(|image| (*id, Image { observations, ..image.clone() })));
+        }
+        Ok(found)
     }
 
     /// Brings a map into the frame of the last one; a map that shares too little begins a new frame.

@@ -6,11 +6,10 @@ use std::io::Write;
 use std::net::UdpSocket;
 use std::path::PathBuf;
 use std::str::FromStr;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::Context;
 
-use super::updates::{Health, UdpAddress};
+use super::updates::{Health, UdpAddress, now_s};
 use crate::export::{CotEvent, CotTrack};
 use crate::live::{GeoPosition, VehicleLine};
 use crate::telemetry::clock_s;
@@ -79,8 +78,7 @@ impl Cot {
 
 /// The event of a vehicle. Where the telemetry has no universal time, the clock of the computer serves.
 fn event(title: &str, vehicle: &VehicleLine, geo: &GeoPosition) -> CotEvent {
-    let now_s = SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |now| now.as_secs_f64());
-    let time_s = vehicle.utc.as_deref().and_then(clock_s).unwrap_or(now_s - vehicle.lag_s);
+    let time_s = vehicle.utc.as_deref().and_then(clock_s).unwrap_or_else(|| now_s() - vehicle.lag_s);
     let speed = geo.velocity.map(|[east, north, _]| east.hypot(north));
     let track = speed.zip(geo.speed_std).map(|(speed_m_s, speed_std_m_s)| CotTrack {
         course_deg: geo.course_deg,

@@ -1,4 +1,5 @@
-//! Telemetry of a live run: recorded byte for byte, then handed to the georeferencing.
+//! Telemetry of a live run: recorded byte for byte, then handed to the georeferencing. MAVLink becomes a table beside
+//! its recording.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
@@ -19,7 +20,7 @@ use crate::telemetry::Kind;
 /// Name of the recording without its extension: that of the video, so that a run finds it.
 const STEM: &str = "recording";
 /// Its extensions.
-const EXTENSIONS: [&str; 5] = ["srt", "gpx", "csv", "nmea", "log"];
+const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "mavlink"];
 /// Bytes that are copied at once at most.
 const CHUNK_BYTES: usize = 16 << 10;
 /// Bytes at the beginning by which the format is recognized, if they come within one line.
@@ -91,31 +92,104 @@ struct Copy {
 
 impl Copy {
     fn run(&self) -> io::Result<()> {
-        let mut input = files::open_stream(&self.source)?;
-        let mut recording = Recording::NotBegun(Vec::new());
+        let mut input = Input { file: files::open_stream(&self.source)?, is_live: self.is_pipe, copy: self };
         let mut chunk = vec![0; CHUNK_BYTES];
-        // What a file has at first was not written just now.
-        let mut is_live = self.is_pipe;
+        let mut count = input.read(&mut chunk)?;
+        #[cfg(feature = "live")]
+        if super::mavlink_log::is_mavlink(&chunk[..count]) {
+            chunk.truncate(count);
+            return self.tabulate(chunk, input);
+        }
+        let mut recording = Recording::NotBegun(Vec::new());
+        while count > 0 {
+            let new = recording.write(&chunk[..count], self)?;
+            self.feed.push(&new, input.is_live);
+            count = input.read(&mut chunk)?;
+        }
+        recording.end(self)
+    }
+
+    /// Records MAVLink, and the table of its positions.
+    ///
+    /// * `head` – what was read of it.
+    #[cfg(feature = "live")]
+    fn tabulate(&self, head: Vec<u8>, input: Input<'_>) -> io::Result<()> {
+        use mavlink::MavlinkReader;
+        use mavlink::dialects::common::MavMessage;
+        use mavlink::error::MessageReadError;
+
+        use super::mavlink_log::{HEADER, Table};
+        use super::updates::now_s;
+
+        let path = self.output.join(STEM).with_extension("mavlink");
+        let recorded = Recorded { head: io::Cursor::new(head), input, file: File::create_new(path)? };
+        let mut reader = MavlinkReader::new(recorded);
+        let (mut table, mut recording) = (Table::default(), Recording::NotBegun(Vec::new()));
+        self.feed.push(&recording.write(HEADER.as_bytes(), self)?, false);
         loop {
-            let count = match input.read(&mut chunk) {
+            match reader.read_any_message::<MavMessage>() {
+                Ok((header, message)) => {
+                    let Some(line) = table.line(header, &message, now_s()) else { continue };
+                    let new = recording.write(line.as_bytes(), self)?;
+                    self.feed.push(&new, reader.get_ref().input.is_live);
+                }
+                Err(MessageReadError::Io(error)) if error.kind() == io::ErrorKind::UnexpectedEof => break,
+                Err(MessageReadError::Io(error)) => return Err(error),
+                // Of another dialect.
+                Err(MessageReadError::Parse(_)) => {}
+            }
+        }
+        reader.get_ref().file.sync_all()?;
+        recording.end(self)
+    }
+}
+
+/// Bytes of a log until it ends: those that a file still gets, too.
+struct Input<'a> {
+    file: File,
+    /// True for bytes that were written just now: not for those that a file had at first.
+    is_live: bool,
+    copy: &'a Copy,
+}
+
+impl Read for Input<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        loop {
+            let count = match self.file.read(buffer) {
                 Ok(count) => count,
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => continue,
                 Err(error) => return Err(error),
             };
-            if self.is_over.load(Ordering::Relaxed) {
-                return recording.sync();
+            if self.copy.is_over.load(Ordering::Relaxed) {
+                return Ok(0);
             }
-            if count == 0 {
-                if self.is_pipe {
-                    return recording.end(self);
-                }
-                is_live = true;
-                thread::sleep(POLL);
-                continue;
+            if count > 0 || self.copy.is_pipe {
+                return Ok(count);
             }
-            let new = recording.write(&chunk[..count], self)?;
-            self.feed.push(&new, is_live);
+            self.is_live = true;
+            thread::sleep(POLL);
         }
+    }
+}
+
+/// Bytes that are written to a file as they are read.
+#[cfg(feature = "live")]
+struct Recorded<'a> {
+    /// What was read before.
+    head: io::Cursor<Vec<u8>>,
+    input: Input<'a>,
+    file: File,
+}
+
+#[cfg(feature = "live")]
+impl Read for Recorded<'_> {
+    fn read(&mut self, buffer: &mut [u8]) -> io::Result<usize> {
+        let count = match self.head.read(buffer)? {
+            0 => self.input.read(buffer)?,
+            count => count,
+        };
+        self.file.write_all(&buffer[..count])?;
+        Ok(count)
     }
 }
 
@@ -220,5 +294,43 @@ mod tests {
         assert_eq!(fs::read(&recording).unwrap(), fs::read(&source).unwrap());
         let refused = Telemetry::start(&source, &output, false).map(drop).unwrap_err().to_string();
         assert!(refused.contains("--overwrite"), "{refused}");
+    }
+
+    #[test]
+    #[cfg(feature = "live")]
+    fn mavlink_is_recorded_byte_for_byte_and_as_a_table() {
+        use mavlink::dialects::common::{GLOBAL_POSITION_INT_DATA, MavMessage};
+        use mavlink::{MavHeader, write_v2_msg};
+
+        let folder = tempfile::tempdir().unwrap();
+        let (source, output) = (folder.path().join("log"), folder.path().join("out"));
+        fs::create_dir(&output).unwrap();
+        let packet = |time_boot_ms| {
+            let position =
+                GLOBAL_POSITION_INT_DATA { time_boot_ms, lat: 471_000_000, lon: 85_000_000, ..Default::default() };
+            let header = MavHeader { system_id: 1, component_id: 1, sequence: 0 };
+            let mut packet = Vec::new();
+            write_v2_msg(&mut packet, header, &MavMessage::GLOBAL_POSITION_INT(position)).unwrap();
+            packet
+        };
+        // A packet that is damaged, and one that is cut off, between two whole ones.
+        let mut damaged = packet(1_500);
+        damaged[14] ^= 1;
+        let bytes = [packet(1_000), damaged, packet(1_600)[..12].to_vec(), packet(2_000)].concat();
+        fs::write(&source, &bytes).unwrap();
+        let telemetry = Telemetry::start(&source, &output, false).unwrap();
+        let rows = || {
+            let text = fs::read_to_string(output.join("recording.csv")).unwrap_or_default();
+            text.lines().skip(1).filter(|row| row.contains(",47.1000000,8.5000000,")).count()
+        };
+        let are_there = (0..200).any(|_| {
+            rows() == 2 || {
+                thread::sleep(Duration::from_millis(10));
+                false
+            }
+        });
+        assert!(are_there, "{} rows", rows());
+        assert_eq!(telemetry.finish(), Some(output.join("recording.csv").as_path()));
+        assert_eq!(fs::read(output.join("recording.mavlink")).unwrap(), bytes);
     }
 }

@@ -5,6 +5,7 @@ use std::fmt;
 use std::io;
 use std::net::{Ipv4Addr, Ipv6Addr, SocketAddr, ToSocketAddrs, UdpSocket};
 use std::str::FromStr;
+use std::time::{SystemTime, UNIX_EPOCH};
 
 use anyhow::{Context, anyhow};
 
@@ -17,6 +18,11 @@ const PERIOD_S: f64 = 1.0;
 const EARLY: f64 = 0.01;
 /// Time after which a vehicle that is not seen is forgotten, seconds.
 const FORGOTTEN_S: f64 = 60.0;
+
+/// Clock of the computer, seconds after 1970.
+pub(super) fn now_s() -> f64 {
+    SystemTime::now().duration_since(UNIX_EPOCH).map_or(0.0, |now| now.as_secs_f64())
+}
 
 /// Chooses the lines that are sent.
 #[derive(Debug, Default)]

@@ -54,7 +54,7 @@ pub struct Extents {
     pub width: Option<Estimate>,
     /// Of its roof above the ground.
     pub height: Option<Estimate>,
-    /// Middle of the body; `None` where length or width were not visible.
+    /// Middle of the body; what was not visible of it is in its covariance. `None` where outlines show nothing.
     pub center: Option<BodyCenter>,
 }
 
@@ -79,6 +79,9 @@ const END: f64 = 0.04;
 const END_STD: f64 = 0.08;
 /// Cosine of the angle between the line of sight and an end's normal up to which its points are seen.
 const FACING: f64 = 0.35;
+/// Length and width over the height, where points do not show more: 4.4, 1.8 and 1.5 m of a car.
+const LENGTH: f64 = 2.9;
+const WIDTH: f64 = 1.2;
 /// Standard deviations of the logarithms of length, width and height that no shape of a body accounts for.
 const SHAPE_STD: [f64; 3] = [0.02, 0.025, 0.03];
 /// An extent whose logarithm is less sure than this was not seen.
@@ -110,8 +113,7 @@ fn measured(subject: &Subject) -> Option<Extents> {
     let scale = &subject.trajectory.scale;
     let logs = Logs::of(&fits)?;
     let estimate = |k: usize| logs.estimate(k, scale.ratio, scale.std.unwrap_or(0.0) / scale.ratio);
-    let center = (logs.std[0] < SEEN && logs.std[1] < SEEN).then(|| fits.center()).flatten();
-    let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2), center };
+    let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2), center: fits.center() };
     match axis {
         Axis::Forward => Some(all),
         Axis::Unknown => Some(logs.longer_first(all)),
@@ -249,7 +251,7 @@ impl Start {
     fn expected(&self, sights: &[OutlineView]) -> Expected {
         let height = self.size.z;
         // Points of one end or side say nothing of what is behind it.
-        let (length, width) = (self.size.x.max(2.0 * height), self.size.y.max(0.9 * height));
+        let (length, width) = (self.size.x.max(LENGTH * height), self.size.y.max(WIDTH * height));
         let yaw = if self.axis == Axis::Forward { YAW_STD } else { 0.2 };
         let directions: Vec<Vector3<f64>> = sights.iter().map(OutlineView::direction).collect();
         let reach = |k: usize| {
