@@ -98,9 +98,8 @@ impl Table {
             Some(angles) => angles.map(|angle| shown(Some(angle))),
             None => Default::default(),
         };
-        Some(format!(
-            "{utc},{latitude:.7},{longitude:.7},{altitude:.3},{relative:.3},{horizontal},{vertical},{yaw},{pitch},{roll}\n"
-        ))
+        let place = format!("{utc},{latitude:.7},{longitude:.7},{altitude:.3},{relative:.3}");
+        Some(format!("{place},{horizontal},{vertical},{yaw},{pitch},{roll}\n"))
     }
 }
 
@@ -155,7 +154,7 @@ mod tests {
             MavMessage::GPS_RAW_INT(receiver),
             MavMessage::GLOBAL_POSITION_INT(position()),
             gimbal([0.0, -45.0, 10.0], GimbalDeviceFlags::empty()),
-            MavMessage::GLOBAL_POSITION_INT(position()),
+            MavMessage::GLOBAL_POSITION_INT(GLOBAL_POSITION_INT_DATA { time_boot_ms: 61_500, ..position() }),
         ]);
         let table = format!("{HEADER}{}", found.concat());
         let log = read_bytes(table.as_bytes(), Path::new("recording.csv")).unwrap();

@@ -186,12 +186,12 @@ fn the_middle_of_a_body_is_found_from_one_side_of_it() {
 fn from_behind_a_car_has_no_length() {
     let found = world(&[178.0, 179.0, 180.0, 181.0, 182.0]).drive().extents();
     assert_eq!(found.length, None);
-    // Its center is known in width and height, and ahead of its rear by the length that cars have.
+    // Its center is known well in width and height, and roughly along its length.
     let center = found.center.unwrap();
     let stds = [0, 1, 2].map(|axis| center.covariance[axis][axis].sqrt());
     let [ahead, left, up] = center.in_object;
     assert!(ahead.abs() < 2.0 * stds[0] && left.abs() < 0.1 && (up - 0.5 * CAR[2]).abs() < 0.1, "{center:?}");
-    assert!(stds[0] > 0.5 && stds[1] < 0.1 && stds[2] < 0.1, "{stds:?}");
+    assert!(stds[0] > 3.0 * stds[1].max(stds[2]) && stds[1] < 0.1 && stds[2] < 0.1, "{stds:?}");
     assert!(is_near(found.width, CAR[1]) && is_near(found.height, CAR[2]), "{found:?}");
 }
 
