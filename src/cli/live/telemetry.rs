@@ -175,7 +175,7 @@ impl Read for Input<'_> {
 /// Bytes that are written to a file as they are read.
 #[cfg(feature = "live")]
 struct Recorded<'a> {
-    /// What was read before.
+    /// Bytes that were read before.
     head: io::Cursor<Vec<u8>>,
     input: Input<'a>,
     file: File,
