@@ -1,5 +1,5 @@
-//! Telemetry of a live run: recorded byte for byte, then handed to the georeferencing. MAVLink becomes a table beside
-//! its recording.
+//! Telemetry of a live run: recorded byte for byte, then handed to the georeferencing. Of MAVLink a table is written,
+//! too.
 
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
