@@ -5,7 +5,7 @@
 
 The clip is encoded once forward and once backward, so that the camera flies to and fro without a jump, and piped at its
 own rate. The memory is sampled every second. Prints one JSON object: memory after two minutes, its range from then on,
-and the totals; OUT.rss has the samples. Needs ffmpeg.
+the final positions, and the totals; OUT.rss has the samples. Needs ffmpeg.
 """
 
 import argparse
@@ -55,12 +55,14 @@ def main() -> None:
     lines = [json.loads(line) for line in (args.out / "live.jsonl").read_text().splitlines()]
     # The last sample may find a process that is ending.
     late = [mib for at, mib in samples[:-1] if at >= WARM_UP_S]
+    finals = [line["method"] for line in lines if line["kind"] == "vehicle" and line["state"] == "final"]
     result = {
         "exit": program.returncode,
         "minutes": round(samples[-1][0] / 60, 1),
         "rss_mib": {"max": round(max(mib for _, mib in samples)), "late": [round(min(late)), round(max(late))]}
         if late
         else None,
+        "final_positions": {"all": len(finals), "by model": finals.count("model")},
         "restarts": sum(line["kind"] == "map" and not line["is_continued"] for line in lines),
         "end": lines[-1] if lines else None,
     }

@@ -265,18 +265,30 @@ class Truth:
         scale, turn, shift = umeyama(np.vstack(source), np.vstack(target))
         return scale, turn, shift
 
-    def errors(self, poses: dict[int, tuple[Array, Array]], positions: dict[int, Array]) -> dict[str, Any] | None:
-        """Errors of positions in a frame of their own."""
+    def errors(
+        self,
+        poses: dict[int, tuple[Array, Array]],
+        positions: dict[int, Array],
+        covariances: dict[int, list[float]] | None = None,
+    ) -> dict[str, Any] | None:
+        """Errors of positions in a frame of their own, and how many are within the stated standard deviations."""
         if len(poses) < 5 or not positions:
             return None
         scale, turn, shift = self.register(poses)
-        places = []
+        places, deviations = [], []
+        middle = 0.5 * (self.mesh.max(0) + self.mesh.min(0))
         for k, position in positions.items():
             world = scale * turn @ position + shift
             body = np.linalg.inv(self.objects[k])
             local = body[:3, :3] @ world + body[:3, 3]
             places.append(local[:3])
-        off = np.array(places) - 0.5 * (self.mesh.max(0) + self.mesh.min(0))
+            if covariances:
+                off_m = turn.T @ (world - self.objects[k][:3, :3] @ middle - self.objects[k][:3, 3])
+                xx, xy, xz, yy, yz, zz = covariances[k]
+                covariance = scale**2 * np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+                sight = position - poses[k][0]
+                deviations.append(abs(sight @ off_m) / math.sqrt(sight @ covariance @ sight))
+        off = np.array(places) - middle
         spread = np.linalg.norm(off - off.mean(0), axis=1)
         return {
             "frames": len(positions),
@@ -286,6 +298,10 @@ class Truth:
             "error_m": round(float(np.linalg.norm(off[:, :2], axis=1).mean()), 3),
             "spread_m": round(float(np.sqrt((spread**2).mean())), 3),
             "spread_max_m": round(float(spread.max()), 3),
+            # Along the line of sight, within 1, 2, 3 standard deviations, per cent.
+            "covered": [round(100 * float(np.mean(np.array(deviations) < n))) for n in (1, 2, 3)]
+            if deviations
+            else None,
         }
 
 
@@ -342,9 +358,14 @@ def mesh_points(path: Path) -> Array:
     return np.stack([table["x"], table["y"], table["z"]], 1).astype(float)
 
 
-def nearest_track(truth: Truth, tracks: dict[int, dict[int, Array]], poses: dict[int, tuple[Array, Array]]) -> Any:
+def nearest_track(
+    truth: Truth,
+    tracks: dict[int, dict[int, Array]],
+    poses: dict[int, tuple[Array, Array]],
+    covariances: dict[int, dict[int, list[float]]],
+) -> Any:
     """The errors of the longest track that is near the true vehicle."""
-    found = [truth.errors(poses, track) for track in tracks.values()]
+    found = [truth.errors(poses, track, covariances.get(number)) for number, track in tracks.items()]
     near = [errors for errors in found if errors and errors["frames"] >= 5 and errors["error_m"] < NEAR_M]
     return max(near, key=lambda errors: errors["frames"], default=None)
 
@@ -355,11 +376,13 @@ def of_live(truth: Truth, live: Live, state: str, method: str | None) -> Any:
     for _, line in live.of("camera", state):
         poses[line["frame"]] = np.array(line["position"]), rotation(line["rotation_wxyz"]).T
     tracks: dict[int, dict[int, Array]] = {}
+    covariances: dict[int, dict[int, list[float]]] = {}
     for _, line in live.of("vehicle", state):
         is_wanted = line["method"] == method if method else line["method"] in ("corrected-contact", "model")
         if is_wanted and line["frame"] in poses:
             tracks.setdefault(line["id"], {})[line["frame"]] = np.array(line["position"])
-    return nearest_track(truth, tracks, poses)
+            covariances.setdefault(line["id"], {})[line["frame"]] = line["covariance"]
+    return nearest_track(truth, tracks, poses, covariances)
 
 
 def of_batch(truth: Truth, out: Path) -> Any:
@@ -377,7 +400,7 @@ def of_batch(truth: Truth, out: Path) -> Any:
             entry["id"]: {pose["frame"]: np.array(pose["position"]) for pose in entry["frames"]}
             for entry in found.get(key, [])
         }
-        result[key] = nearest_track(truth, tracks, poses)
+        result[key] = nearest_track(truth, tracks, poses, {})
     return result
 
 

@@ -185,7 +185,7 @@ pub struct MapLine {
     pub scale: Option<f64>,
     /// Their standard deviation.
     pub scale_std: Option<f64>,
-    /// Vehicles with a 3D model.
+    /// Vehicles with a 3D model in the local frame.
     pub models: usize,
     /// Problem of the ground.
     pub problem: Option<String>,

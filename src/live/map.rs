@@ -12,7 +12,6 @@ use nalgebra::{Point3, Vector3};
 
 use super::georeference::{self, Georeference, Georeferencer};
 use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
-use super::models::{self, Model};
 use super::telemetry::TelemetryFeed;
 use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
 use super::{LiveError, Purpose};
@@ -109,8 +108,6 @@ pub(super) struct WorldMap {
     pub(super) time_s: f64,
     pub(super) purpose: Purpose,
     pub(super) line: MapLine,
-    /// Vehicles with a model, by their provisional ids.
-    pub(super) models: BTreeMap<ObjectId, Model>,
 }
 
 impl WorldMap {
@@ -274,7 +271,7 @@ impl Mapper {
         };
         let revision = self.revision;
         let local = Reconstruction { images: BTreeMap::new(), ..model.clone() };
-        let mut map = WorldMap {
+        Ok(Ok(WorldMap {
             revision,
             model,
             local,
@@ -287,16 +284,8 @@ impl Mapper {
             georeference: self.georeferencer.as_ref().and_then(Georeferencer::found),
             time_s,
             purpose: snapshot.purpose,
-            line,
-            models: BTreeMap::new(),
-        };
-        let views = models::max_views(snapshot.subjects.len());
-        for subject in &snapshot.subjects {
-            let found = models::place(subject, &map, &snapshot.outlines, &snapshot.frames, &self.options, views)?;
-            map.models.extend(found.map(|model| (subject.object, model)));
-        }
-        (map.line.models, map.line.seconds) = (map.models.len(), begin.elapsed().as_secs_f64());
-        Ok(Ok(map))
+            line: MapLine { seconds: begin.elapsed().as_secs_f64(), ..line },
+        }))
     }
 
     /// The keyframes by the batch mapper, or why they give no map.
@@ -510,8 +499,7 @@ mod tests {
         let frames: Vec<Frame> = images.iter().map(frame).collect();
         // Every third is a keyframe, in all windows.
         let is_key = frames.iter().map(|frame| frame.id.0 % 3 == 0).collect();
-        let (poses, subjects, outlines) = Default::default();
-        Snapshot { table, frames, is_key, poses, subjects, outlines, purpose: Purpose::Final }
+        Snapshot { table, frames, is_key, poses: BTreeMap::new(), purpose: Purpose::Final }
     }
 
     fn flight() -> scene::Options {

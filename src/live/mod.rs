@@ -2,7 +2,8 @@
 //!
 //! The newest frame is taken (`frames.rs`); vehicles are detected and followed on a thread (`perception.rs`), while
 //! points of the frame before are tracked on another (`window.rs`), by the objects that a run uses. A worker
-//! reconstructs the window of the last ten seconds with the batch mapper, in the frame of the maps before (`map.rs`).
+//! reconstructs the window of the last ten seconds with the batch mapper, in the frame of the maps before (`map.rs`);
+//! another places models of the vehicles in every third of these maps (`models.rs`).
 //! Between two maps every frame is registered by resection, and the lower edges of the masks give provisional positions
 //! on the local ground planes; a frame that leaves the window gets its final ones (`vehicles.rs`). What does not keep
 //! up is reduced in a fixed order (`load.rs`). `docs/live.md` has limits and figures.
@@ -20,6 +21,7 @@ mod telemetry;
 mod vehicles;
 mod window;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::Path;
 use std::sync::mpsc::{Receiver, SyncSender, TryRecvError, channel, sync_channel};
@@ -44,20 +46,22 @@ use crate::io::interchange::colmap;
 use crate::mapper::{Intrinsics, MapperError};
 use crate::networks::PerceptionError;
 use crate::pipeline::{IntrinsicsSource, Options};
-use crate::scene::Frame;
+use crate::scene::{Frame, ObjectId};
 use crate::video::{Source, VideoError};
 use frames::{Input, Next};
 use load::Load;
 use map::{MIN_KEYS, Mapper, NoMap, WorldMap};
+use models::{Model, Request};
 use perception::{Perceived, PerceptionThread};
-use vehicles::Vehicles;
+use vehicles::{Positions, Vehicles};
 use window::{Snapshot, Window};
 
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 10.0;
 /// Time between two maps at least, seconds.
 const MAP_S: f64 = 1.0;
-/// Time between two maps that make frames final, seconds. These maps have models of the vehicles, which take longer.
+/// Time between two maps that make frames final, seconds. Models of the vehicles are placed in them, which takes up to
+/// this time.
 const FINAL_EVERY_S: f64 = 3.0;
 /// Age at which a frame becomes final, seconds: at most ten after it, with those three.
 const FINAL_S: f64 = 6.5;
@@ -144,13 +148,16 @@ pub fn run(
     let (camera, known) = camera(&source, options)?;
     let (is_paced, growth) = (job.is_paced, job.growth.clone());
     perception.begin(Input { frames: source.frames()?, is_paced, growth })?;
+    let (mut mapper, of_models) = (Mapper::new(options, camera, known, job.telemetry.clone()), options.clone());
     let mut live = Live {
         options,
         sink,
         window: Window::new(camera),
         vehicles: Vehicles::default(),
         load,
-        worker: Worker::start(Mapper::new(options, camera, known, job.telemetry.clone()))?,
+        mapper: Worker::start("mapper", move |snapshot| mapper.update(&snapshot))?,
+        modeler: Worker::start("modeler", move |request| models::place_all(&request, &of_models))?,
+        leaving: None,
         telemetry: job.telemetry.as_deref(),
         watch: job.watch,
         map: None,
@@ -167,7 +174,7 @@ pub fn run(
         }
         match perception.take(PATIENCE)? {
             Next::Frame(perceived) => live.step(*perceived)?,
-            Next::Nothing => live.take_map(Wait::No)?,
+            Next::Nothing => live.take_results(Wait::No)?,
             Next::Over => break,
         }
     }
@@ -199,10 +206,13 @@ struct Live<'a> {
     window: Window,
     vehicles: Vehicles,
     load: Arc<Mutex<Load>>,
-    worker: Worker,
+    mapper: Worker<Snapshot, Result<WorldMap, NoMap>>,
+    modeler: Worker<Request, BTreeMap<ObjectId, Model>>,
+    /// What becomes final when the models are made.
+    leaving: Option<Leaving>,
     telemetry: Option<&'a TelemetryFeed>,
     watch: Option<&'a Watch>,
-    map: Option<WorldMap>,
+    map: Option<Arc<WorldMap>>,
     /// Time from which the absence of a map counts, seconds; infinite once it was reported.
     mapped_s: Option<f64>,
     /// Why the last window gave no map.
@@ -228,11 +238,11 @@ impl Live<'_> {
         if let Some(watch) = self.watch {
             watch(&frame, &picture);
         }
-        self.take_map(Wait::No)?;
+        self.take_results(Wait::No)?;
         self.vehicles.push(&frame, at, seen, identities);
         self.vehicles.track_points(&frame, &picture, &masks, self.window.camera())?;
         self.window.push(&frame, &picture, &background)?;
-        let image = self.map.as_ref().and_then(|map| self.window.register(map));
+        let image = self.map.as_deref().and_then(|map| self.window.register(map));
         let tracked = Instant::now();
         self.end.registered += u64::from(image.is_some());
         self.end.frames += 1;
@@ -240,7 +250,7 @@ impl Live<'_> {
             let camera = map.camera_line(&frame, &image.cam_from_world, State::Provisional);
             self.send(Line::Camera(camera))?;
         }
-        let lines = self.vehicles.provisional(self.map.as_ref(), image, self.options);
+        let lines = self.vehicles.provisional(self.map.as_deref(), image, self.options);
         self.write(lines)?;
         self.request_map(frame.time_s);
         self.note_absence(frame.time_s)?;
@@ -277,53 +287,75 @@ impl Live<'_> {
         self.send(Line::NoMap(NoMapLine { t: time_s, reason: why.to_string() }))
     }
 
-    fn snapshot(&self, purpose: Purpose) -> Snapshot {
-        let subjects = if purpose == Purpose::Revision { Vec::new() } else { self.vehicles.subjects() };
-        self.window.snapshot(purpose, subjects, self.vehicles.outlines().clone())
-    }
-
-    /// Hands the window to the worker if it is idle and a map is due.
+    /// Hands the window to the mapper if it is idle and a map is due.
     fn request_map(&mut self, time_s: f64) {
         let is_due = match &self.map {
             Some(map) => time_s - map.time_s >= MAP_S,
             None => self.window.num_keys() >= MIN_KEYS,
         };
-        if !is_due || self.worker.is_busy {
+        if !is_due || self.mapper.is_busy {
             return;
         }
-        let is_final = self.map.is_some() && time_s - self.final_s >= FINAL_EVERY_S;
+        let is_final = self.map.is_some() && !self.modeler.is_busy && time_s - self.final_s >= FINAL_EVERY_S;
         if is_final {
             self.final_s = time_s;
         }
-        self.worker.request(self.snapshot(if is_final { Purpose::Final } else { Purpose::Revision }));
+        self.mapper.request(self.window.snapshot(if is_final { Purpose::Final } else { Purpose::Revision }));
     }
 
-    /// Takes the map that was requested, if there is one.
+    /// Takes what the workers have finished.
+    fn take_results(&mut self, wait: Wait) -> Result<(), LiveError> {
+        self.take_map(wait)?;
+        self.take_models(wait)
+    }
+
+    /// Takes the map that was requested, if there is one, and requests the models of a final one.
     fn take_map(&mut self, wait: Wait) -> Result<(), LiveError> {
-        let map = match self.worker.poll(wait)? {
+        let map = match self.mapper.poll(wait)? {
             None => return Ok(()),
             Some(Err(why)) => {
                 self.no_map = Some(why);
                 return Ok(());
             }
-            Some(Ok(map)) => map,
+            Some(Ok(map)) => Arc::new(map),
         };
         (self.mapped_s, self.no_map) = (Some(self.end.t), None);
+        if !map.is_continued {
+            // Models of the frame before come too late: its frames become final without.
+            self.finalize(&BTreeMap::new())?;
+        }
         self.window.take_poses(&map);
-        let (frames, lines) = self.vehicles.take_map(&map, self.options);
+        let positions = self.vehicles.take_map(&map, self.options);
         self.end.maps += 1;
-        self.send(Line::Map(map.line.clone()))?;
+        self.send(Line::Map(MapLine { models: self.vehicles.num_models(), ..map.line.clone() }))?;
+        if map.purpose != Purpose::Revision {
+            self.modeler.request(self.vehicles.request(&map));
+            self.leaving = Some(Leaving { map: map.clone(), positions });
+        }
+        self.map = Some(map);
+        Ok(())
+    }
+
+    /// Takes the models that were requested, if they are made.
+    fn take_models(&mut self, wait: Wait) -> Result<(), LiveError> {
+        match self.modeler.poll(wait)? {
+            Some(models) => self.finalize(&models),
+            None => Ok(()),
+        }
+    }
+
+    /// Writes the poses and positions that are final.
+    fn finalize(&mut self, models: &BTreeMap<ObjectId, Model>) -> Result<(), LiveError> {
+        let Some(Leaving { map, positions }) = self.leaving.take() else { return Ok(()) };
+        let (frames, lines) = self.vehicles.finalize(&map, &positions, models);
         for frame in frames {
             if let Some(image) = map.model.images.get(&frame.id.into()) {
                 self.send(Line::Camera(map.camera_line(&frame, &image.cam_from_world, State::Final)))?;
             }
         }
         self.write(lines)?;
-        if map.purpose == Purpose::Final {
-            // Frames, points and maps of four threads come and go: what they leave free grows for hours otherwise.
-            memory::give_back();
-        }
-        self.map = Some(map);
+        // Frames, points and maps of five threads come and go: what they leave free grows for hours otherwise.
+        memory::give_back();
         Ok(())
     }
 
@@ -338,10 +370,10 @@ impl Live<'_> {
     /// Makes the last map, unless the run is to stop, and sums up.
     fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, LiveError> {
         if order() != Order::Stop {
-            self.take_map(Wait::Yes)?;
+            self.take_results(Wait::Yes)?;
             if self.window.num_keys() >= MIN_KEYS {
-                self.worker.request(self.snapshot(Purpose::Last));
-                self.take_map(Wait::Yes)?;
+                self.mapper.request(self.window.snapshot(Purpose::Last));
+                self.take_results(Wait::Yes)?;
             }
         }
         let count = self.end.frames.max(1) as f64;
@@ -351,7 +383,14 @@ impl Live<'_> {
     }
 }
 
-/// Waiting for a map.
+/// What becomes final with a map.
+struct Leaving {
+    map: Arc<WorldMap>,
+    /// Contact points in it.
+    positions: BTreeMap<ObjectId, Positions>,
+}
+
+/// Waiting for a worker.
 #[derive(Clone, Copy, PartialEq)]
 enum Wait {
     No,
@@ -369,54 +408,57 @@ enum Purpose {
     Last,
 }
 
-/// The thread that makes maps, one at a time.
-struct Worker {
-    jobs: SyncSender<Snapshot>,
-    maps: Receiver<Result<Result<WorldMap, NoMap>, LiveError>>,
+/// A thread that does one job at a time, with the processor time that the frames leave.
+struct Worker<Job, Found> {
+    jobs: SyncSender<Job>,
+    found: Receiver<Result<Found, LiveError>>,
     is_busy: bool,
 }
 
-impl Worker {
-    /// Starts it. Its adjustments run on one thread with the processor time that the frames leave.
-    fn start(mut mapper: Mapper) -> Result<Self, LiveError> {
-        let (jobs, requested) = sync_channel::<Snapshot>(1);
-        let (finished, maps) = channel();
+impl<Job: Send + 'static, Found: Send + 'static> Worker<Job, Found> {
+    /// Starts it. Its adjustments run on this thread, too.
+    fn start(
+        name: &'static str,
+        mut work: impl FnMut(Job) -> Result<Found, LiveError> + Send + 'static,
+    ) -> Result<Self, LiveError> {
+        let (jobs, requested) = sync_channel::<Job>(1);
+        let (finished, found) = channel();
         let pool = rayon::ThreadPoolBuilder::new()
             .num_threads(1)
-            .thread_name(|_| "adjustment".into())
+            .thread_name(move |_| name.into())
             .start_handler(|_| priority::lower())
             .build();
         let pool = pool.map_err(|error| LiveError::Thread(io::Error::other(error)))?;
         let work = move || {
-            for snapshot in requested {
-                if finished.send(pool.install(|| mapper.update(&snapshot))).is_err() {
+            for job in requested {
+                if finished.send(pool.install(|| work(job))).is_err() {
                     return;
                 }
             }
         };
-        thread::Builder::new().name("mapper".into()).spawn(work).map_err(LiveError::Thread)?;
-        Ok(Self { jobs, maps, is_busy: false })
+        thread::Builder::new().name(name.into()).spawn(work).map_err(LiveError::Thread)?;
+        Ok(Self { jobs, found, is_busy: false })
     }
 
-    fn request(&mut self, snapshot: Snapshot) {
-        self.is_busy = self.jobs.try_send(snapshot).is_ok();
+    fn request(&mut self, job: Job) {
+        self.is_busy = self.jobs.try_send(job).is_ok();
     }
 
-    /// The map that was requested; `None` where it is not finished.
-    fn poll(&mut self, wait: Wait) -> Result<Option<Result<WorldMap, NoMap>>, LiveError> {
+    /// The result of the job; `None` where it is not finished.
+    fn poll(&mut self, wait: Wait) -> Result<Option<Found>, LiveError> {
         if !self.is_busy {
             return Ok(None);
         }
         let found = match wait {
-            Wait::No => self.maps.try_recv(),
-            Wait::Yes => self.maps.recv().map_err(|_| TryRecvError::Disconnected),
+            Wait::No => self.found.try_recv(),
+            Wait::Yes => self.found.recv().map_err(|_| TryRecvError::Disconnected),
         };
         match found {
             Err(TryRecvError::Empty) => Ok(None),
-            Err(TryRecvError::Disconnected) => Err(LiveError::Thread(io::Error::other("the mapper has ended"))),
-            Ok(map) => {
+            Err(TryRecvError::Disconnected) => Err(LiveError::Thread(io::Error::other("a worker has ended"))),
+            Ok(found) => {
                 self.is_busy = false;
-                map.map(Some)
+                found.map(Some)
             }
         }
     }

@@ -2,6 +2,8 @@
 //! ground, as in a run.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
+use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3};
 
@@ -35,6 +37,14 @@ pub(super) struct Subject {
     pub(super) class: String,
     pub(super) confidence: f64,
     pub(super) table: TrackTable,
+}
+
+/// Vehicles of a window, and the map in which they are placed.
+pub(super) struct Request {
+    pub(super) map: Arc<WorldMap>,
+    pub(super) subjects: Vec<Subject>,
+    pub(super) outlines: Outlines,
+    pub(super) frames: Vec<Frame>,
 }
 
 /// A vehicle in its place.
@@ -77,30 +87,34 @@ impl Model {
     }
 }
 
-/// Views of each of `num` models.
-pub(super) fn max_views(num: usize) -> usize {
-    (TOTAL_VIEWS / num.max(1)).clamp(FEW_VIEWS, MAX_VIEWS)
-}
-
-/// Reconstructs a vehicle and places it; `None` where its window does not determine it.
+/// Reconstructs the vehicles of a window: models by their provisional ids.
 ///
 /// # Errors
 /// [`LiveError::Mapper`], which would be a bug.
-pub(super) fn place(
+pub(super) fn place_all(request: &Request, options: &Options) -> Result<BTreeMap<ObjectId, Model>, LiveError> {
+    let max_views = (TOTAL_VIEWS / request.subjects.len().max(1)).clamp(FEW_VIEWS, MAX_VIEWS);
+    let mut models = BTreeMap::new();
+    for subject in &request.subjects {
+        models.extend(place(subject, request, options, max_views)?.map(|model| (subject.object, model)));
+    }
+    Ok(models)
+}
+
+/// Reconstructs a vehicle and places it; `None` where its window does not determine it.
+fn place(
     subject: &Subject,
-    map: &WorldMap,
-    outlines: &Outlines,
-    frames: &[Frame],
+    request: &Request,
     options: &Options,
     max_views: usize,
 ) -> Result<Option<Model>, LiveError> {
+    let Request { map, outlines, frames, .. } = request;
     let Subject { object: id, class, confidence, table } = subject;
     let registered: Vec<usize> =
         (0..table.views.len()).filter(|&view| map.model.images.contains_key(&table.views[view].image)).collect();
     let stride = registered.len().div_ceil(max_views).max(1);
     let chosen: Vec<usize> = registered.iter().copied().step_by(stride).collect();
     if chosen.len() < MIN_VIEWS {
-        return Ok(None);
+        return Ok(without_model(*id, &format!("{} views in the map", chosen.len())));
     }
     let sparse = sub_table(table, &chosen, MIN_TRACK);
     let chain = map.ground.chain(&map.model, options);
@@ -116,7 +130,7 @@ pub(super) fn place(
         &mut |_| {},
     )?;
     if model.images.len() < MIN_VIEWS {
-        return Ok(None);
+        return Ok(without_model(*id, &format!("{} of {} views registered", model.images.len(), chosen.len())));
     }
     let planes = chain.planes(*id, &model, &options.ground, options.seed).planes;
     let silhouettes = outlines.get(id).cloned().unwrap_or_default();
@@ -132,7 +146,10 @@ pub(super) fn place(
         focal_std: map.focal_std,
     };
     let placed = trajectory::place(&evidence, &options.scale);
-    let Ok(found) = placed.trajectory else { return Ok(None) };
+    let found = match placed.trajectory {
+        Ok(found) => found,
+        Err(why) => return Ok(without_model(*id, &why)),
+    };
     let candidate = Candidate {
         trajectory: &found,
         tracked: None,
@@ -142,9 +159,13 @@ pub(super) fn place(
         level: None,
         options: &options.scale,
     };
-    let is_refuted = verdicts(&[candidate], TimeBase::Seconds, &[]).iter().any(|verdict| verdict.is_refuted());
-    if found.scale.degenerate || is_refuted {
-        return Ok(None);
+    if found.scale.degenerate {
+        return Ok(without_model(*id, &"the scale ratio is not determined"));
+    }
+    let verdicts = verdicts(&[candidate], TimeBase::Seconds, &[]);
+    if let Some(refuted) = verdicts.iter().find(|verdict| verdict.is_refuted()) {
+        let reasons: Vec<&str> = refuted.against().map(|reason| reason.says.as_str()).collect();
+        return Ok(without_model(*id, &reasons.join("; ")));
     }
     let whole = with_others(placed.object, table, &registered, map);
     let mut trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames, Unit::Background);
@@ -159,6 +180,11 @@ pub(super) fn place(
     let center = trajectory::extents(&subject).center;
     center.into_iter().for_each(|center| trajectory.refer_to(center));
     Ok(Some(Model { trajectory, covariances: placed.pose_covariances }))
+}
+
+fn without_model(id: ObjectId, why: &dyn Display) -> Option<Model> {
+    tracing::debug!("object {}: no model: {why}", id.0);
+    None
 }
 
 /// The model with the views that were not chosen.

@@ -2,6 +2,7 @@
 //! window.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Instant;
 
 use ::image::RgbImage;
@@ -10,7 +11,7 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use super::LiveError;
 use super::line::{GeoPosition, LengthUnit, MotionState, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
-use super::models::{Model, Subject};
+use super::models::{Model, Request, Subject};
 use super::perception::{Identity, Outlined};
 use super::{FINAL_S, Purpose, WINDOW_S};
 use crate::camera::Camera;
@@ -47,13 +48,24 @@ const MAX_VIEWS: usize = 200;
 /// Time beyond the window for which observations are kept, seconds; as those of the background.
 const SPARE_S: f64 = 4.0;
 
+/// Contact points of a vehicle.
+pub(super) type Positions = BTreeMap<FrameId, GroundPosition>;
+
+/// A vehicle in a frame.
+struct Seen<'a> {
+    frame: &'a Frame,
+    rect: Rect,
+    /// When the frame was decoded.
+    decoded: Option<Instant>,
+}
+
 /// A vehicle in the window.
 #[derive(Default)]
 struct Vehicle {
     identity: Option<Identity>,
     rects: BTreeMap<FrameId, Rect>,
     /// In the frame of the last map.
-    positions: BTreeMap<FrameId, GroundPosition>,
+    positions: Positions,
     /// From the contact point to the center of the model: along the horizontal line of sight, to the left of it and up,
     /// in the local frame.
     offsets: BTreeMap<FrameId, Offset>,
@@ -150,18 +162,18 @@ impl Vehicles {
         Ok(())
     }
 
-    /// Vehicles whose points are tracked.
-    pub(super) fn subjects(&self) -> Vec<Subject> {
+    /// What models of the vehicles in a map are made of.
+    pub(super) fn request(&self, map: &Arc<WorldMap>) -> Request {
         let subject = |(&object, vehicle): (&ObjectId, &Vehicle)| {
             let (Identity { class, confidence, .. }, points) = (vehicle.identity.clone()?, vehicle.points.as_ref()?);
             Some(Subject { object, class, confidence, table: points.table().clone() })
         };
-        self.vehicles.iter().filter_map(subject).collect()
-    }
-
-    /// Outlines of all vehicles in the window.
-    pub(super) fn outlines(&self) -> &Outlines {
-        &self.outlines
+        Request {
+            map: map.clone(),
+            subjects: self.vehicles.iter().filter_map(subject).collect(),
+            outlines: self.outlines.clone(),
+            frames: self.frames.values().cloned().collect(),
+        }
     }
 
     fn forget(&mut self, before_s: f64) {
@@ -206,18 +218,46 @@ impl Vehicles {
             let Some(&rect) = vehicle.rects.get(&frame.id) else { continue };
             let reason = contacts.omitted.keys().next().copied();
             let motion = map.and_then(|map| motions(map, vehicle.past(frame.time_s).into_iter()).remove(&frame.id));
-            let decoded = self.decoded.get(&frame.id).copied();
-            lines.extend(vehicle.line(&frame, rect, map, reason, motion, decoded));
+            let seen = Seen { frame: &frame, rect, decoded: self.decoded.get(&frame.id).copied() };
+            lines.extend(vehicle.line(seen, map.map(|map| (map, &vehicle.positions)), reason, motion));
         }
         lines
     }
 
-    /// Takes a new map: gives the frames that become final and their positions, and revises the others.
-    pub(super) fn take_map(&mut self, map: &WorldMap, options: &Options) -> (Vec<Frame>, Vec<VehicleLine>) {
+    /// Takes a new map: revises the contact points of all frames, and gives them.
+    pub(super) fn take_map(&mut self, map: &WorldMap, options: &Options) -> BTreeMap<ObjectId, Positions> {
         let frames: Vec<&Frame> = self.frames.values().filter(|frame| frame.time_s <= map.time_s).collect();
         let objects: Vec<ObjectId> = self.vehicles.keys().copied().collect();
         let found: BTreeMap<ObjectId, Contacts> =
             objects.into_iter().map(|id| (id, self.contacts(id, map, &map.model, &frames, options))).collect();
+        let mut revised = BTreeMap::new();
+        for (id, contacts) in found {
+            let Some(vehicle) = self.vehicles.get_mut(&id) else { continue };
+            if !map.is_continued {
+                vehicle.positions.clear();
+                vehicle.offsets.clear();
+            }
+            vehicle.positions.extend(contacts.positions.into_iter().map(|position| (position.frame, position)));
+            revised.insert(id, vehicle.positions.clone());
+        }
+        revised
+    }
+
+    /// Number of vehicles of which the local frame has a model.
+    pub(super) fn num_models(&self) -> usize {
+        self.vehicles.values().filter(|vehicle| !vehicle.offsets.is_empty()).count()
+    }
+
+    /// Gives the frames that become final with a map, and their positions.
+    ///
+    /// * `positions` – contact points in this map.
+    /// * `models` – in this map, by provisional ids.
+    pub(super) fn finalize(
+        &mut self,
+        map: &WorldMap,
+        positions: &BTreeMap<ObjectId, Positions>,
+        models: &BTreeMap<ObjectId, Model>,
+    ) -> (Vec<Frame>, Vec<VehicleLine>) {
         let final_until_s = match map.purpose {
             Purpose::Revision => f64::NEG_INFINITY,
             Purpose::Final => map.time_s - FINAL_S,
@@ -232,27 +272,21 @@ impl Vehicles {
             .collect();
         self.last_final = leaving.last().map(|frame| frame.id).or(begin);
         let mut lines = Vec::new();
-        for (id, contacts) in found {
-            let Some(vehicle) = self.vehicles.get_mut(&id) else { continue };
-            if !map.is_continued {
-                vehicle.positions.clear();
-                vehicle.offsets.clear();
-            }
-            vehicle.positions.extend(contacts.positions.into_iter().map(|position| (position.frame, position)));
-            let model = map.models.get(&id);
+        for (id, vehicle) in &mut self.vehicles {
+            let Some(positions) = positions.get(id) else { continue };
+            let model = models.get(id);
             if let Some(model) = model {
-                vehicle.offsets = offsets(map, model, &vehicle.positions);
+                vehicle.offsets = offsets(map, model, positions);
             }
-            let by_contact = motions(map, vehicle.positions.values());
+            let by_contact = motions(map, positions.values());
             let by_model = model.map(|model| model_motions(map, model)).unwrap_or_default();
             for frame in &leaving {
                 let Some(&rect) = vehicle.rects.get(&frame.id) else { continue };
-                let decoded = self.decoded.get(&frame.id).copied();
-                let of_model = model.and_then(|model| placed_model(map, model, frame.id));
                 let motion = by_model.get(&frame.id).or(by_contact.get(&frame.id)).copied();
-                let line = vehicle.line(frame, rect, Some(map), None, motion, decoded);
+                let seen = Seen { frame, rect, decoded: self.decoded.get(&frame.id).copied() };
+                let line = vehicle.line(seen, Some((map, positions)), None, motion);
                 let Some(line) = line.map(|line| VehicleLine { state: State::Final, ..line }) else { continue };
-                lines.push(match of_model {
+                lines.push(match model.and_then(|model| placed_model(map, model, frame.id)) {
                     Some(found) => line.at(found, PositionMethod::Model, map),
                     None => line,
                 });
@@ -329,17 +363,19 @@ impl Vehicle {
     }
 
     /// The line of a confirmed vehicle.
+    ///
+    /// * `contacts` – a map, and the contact points in it.
     fn line(
         &self,
-        frame: &Frame,
-        rect: Rect,
-        map: Option<&WorldMap>,
+        seen: Seen,
+        contacts: Option<(&WorldMap, &Positions)>,
         reason: Option<NoContact>,
         motion: Option<Motion>,
-        decoded: Option<Instant>,
     ) -> Option<VehicleLine> {
+        let Seen { frame, rect, decoded } = seen;
         let Identity { id, class, confidence, .. } = self.identity.clone()?;
-        let contact = map.and_then(|map| Some((map, self.positions.get(&frame.id)?)));
+        let map = contacts.map(|(map, _)| map);
+        let contact = contacts.and_then(|(map, positions)| Some((map, positions.get(&frame.id)?)));
         let corrected = contact.and_then(|(map, position)| self.corrected(map, position));
         let corrected = corrected.map(|found| (found, PositionMethod::CorrectedContact));
         let by_contact = || contact.and_then(|(map, position)| placed(map, position));
@@ -408,7 +444,7 @@ fn motion_state(motion: &Motion, is_metric: bool) -> Option<MotionState> {
 }
 
 /// Offsets from the contact points to the centers of a model, in the frames that have both.
-fn offsets(map: &WorldMap, model: &Model, positions: &BTreeMap<FrameId, GroundPosition>) -> BTreeMap<FrameId, Offset> {
+fn offsets(map: &WorldMap, model: &Model, positions: &Positions) -> BTreeMap<FrameId, Offset> {
     let metric_from_world = map.frame.metric_from_world();
     let offset = |(&frame, position): (&FrameId, &GroundPosition)| {
         let contact = metric_from_world * Point3::from(position.position);

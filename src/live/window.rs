@@ -6,7 +6,6 @@ use ::image::RgbImage;
 use nalgebra::Point2;
 
 use super::map::WorldMap;
-use super::models::Subject;
 use super::{LiveError, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::tracks::{Feature, Track, TrackTable};
@@ -14,7 +13,6 @@ use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::math::{Rigid3, median, seeded_rng};
 use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, Point3dId, Reconstruction};
-use crate::trajectory::Outlines;
 
 /// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
 const MAX_POINTS: usize = 700;
@@ -53,9 +51,6 @@ pub(super) struct Snapshot {
     pub(super) is_key: Vec<bool>,
     /// Poses in the frame of the last map.
     pub(super) poses: BTreeMap<FrameId, Rigid3>,
-    /// Vehicles whose points are tracked.
-    pub(super) subjects: Vec<Subject>,
-    pub(super) outlines: Outlines,
     pub(super) purpose: Purpose,
 }
 
@@ -99,10 +94,10 @@ impl Window {
         self.is_key.iter().filter(|is_key| **is_key).count()
     }
 
-    /// The window, with vehicles in it.
-    pub(super) fn snapshot(&self, purpose: Purpose, subjects: Vec<Subject>, outlines: Outlines) -> Snapshot {
+    /// The window as it is now.
+    pub(super) fn snapshot(&self, purpose: Purpose) -> Snapshot {
         let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
-        Snapshot { table, frames, is_key, poses: self.poses.clone(), subjects, outlines, purpose }
+        Snapshot { table, frames, is_key, poses: self.poses.clone(), purpose }
     }
 
     /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.
