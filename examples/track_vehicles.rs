@@ -55,7 +55,9 @@ fn follow(
     for item in source.frames()?.take(limit) {
         let (frame, image) = item?;
         let detections = timed(&mut times.segmentation, || segmenter.segment(&image))?;
-        let flow = previous.map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image))).transpose()?;
+        let flow = previous
+            .map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image, &tracker.places())))
+            .transpose()?;
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
         let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
         let masks = timed(&mut times.tracking, || tracker.advance(&frame, &image, look, flow.as_ref()))?;

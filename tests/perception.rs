@@ -44,7 +44,7 @@ fn follow(clip: &Path, limit: usize) -> Outcome {
     let mut previous: Option<RgbImage> = None;
     for (frame, image) in frames(clip).take(limit) {
         let detections = segmenter.segment(&image).unwrap();
-        let flow = previous.map(|p| estimator.flow(&p, &image).unwrap());
+        let flow = previous.map(|p| estimator.flow(&p, &image, &tracker.places()).unwrap());
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
         let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
         let masks = tracker.advance(&frame, &image, look, flow.as_ref()).unwrap();

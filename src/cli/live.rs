@@ -47,8 +47,6 @@ const LINES: &str = "live.jsonl";
 const CHUNK_BYTES: usize = 64 << 10;
 /// A file that has not grown for so long has ended.
 const END_OF_GROWTH: Duration = Duration::from_secs(3);
-/// Longer side at which optical flow is estimated, pixels.
-const FLOW_PX: u32 = 640;
 /// Wait for a file to grow.
 const POLL: Duration = Duration::from_millis(20);
 
@@ -120,8 +118,6 @@ fn follow(
     // The small mask network is the only one that is fast enough.
     let mut own = options.clone();
     own.vehicles.mask_network = job.mask_network.unwrap_or(MaskChoice::Small);
-    // Flow at two thirds of the usual size takes half the time.
-    own.flow.max_dimension = own.flow.max_dimension.min(FLOW_PX);
     let feed = telemetry.as_ref().map(|telemetry| telemetry.feed.clone());
     let watch = lines.outputs.network.watch();
     let task =

@@ -247,7 +247,7 @@ impl Perception {
         let is_due = |k: usize| frame.time_s - self.looked_s[k] >= (1.0 - EARLY) * periods_s[k];
         let [detects, segments] = [is_due(0), is_due(1)];
         let flow = match &self.previous {
-            Some(previous) => Some(self.flow.flow_near(previous, picture, &self.tracker.places())?),
+            Some(previous) => Some(self.flow.flow(previous, picture, &self.tracker.places())?),
             None => None,
         };
         let mut by = BoxSource::Motion;

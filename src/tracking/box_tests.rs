@@ -94,6 +94,23 @@ fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
 }
 
 #[test]
+fn a_car_on_a_patch_of_road_that_was_taken_for_a_vehicle_is_an_object_of_its_own() {
+    // The detector takes the road for a car until the car appears on it, in colors like those of the road.
+    let road = Thing { at: Box::new(|_| (20, 10)), size: (100, 60), colour: [120, 120, 120], class: Some("car") };
+    let car = Thing { size: (44, 36), ..Thing::car([120, 120, 120], |t| (if t < 12 { 300 } else { 46 }, 22)) };
+    let world = World::still(vec![road, car]);
+    let boxes = |t: usize| {
+        let found = world.boxes(t, DetectionSource::Detector);
+        found.into_iter().filter(|found| (found.rect.width() < 60.0) == (t >= 12)).collect::<Vec<_>>()
+    };
+    let network = |t: usize, answer: BoxMask| Some(answer).filter(|answer| t < 12 || answer.mask.area_px2() < 2000);
+    let (frames, tracks) = world.track_boxes(40, 1, boxes, &network);
+    let car = tracks.iter().find(|track| track.last == FrameId(39)).unwrap();
+    // The mask of the road is carried for three frames.
+    assert_eq!((car.first, followed(&world, &frames, car, 1)), (FrameId(15), 25), "{tracks:#?}");
+}
+
+#[test]
 fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
     let world = one_car();
     let mut tracker = Tracker::new(TrackerOptions::default());

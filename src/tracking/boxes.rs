@@ -6,6 +6,7 @@ use super::appearance::Appearance;
 use super::assignment::assign;
 use super::box_groups::{self, BoxGroup, Finding};
 use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
+use super::merging::is_same_size;
 use super::propagation::{Propagated, carry_rect};
 use super::region::Region;
 use super::track::{Moment, Prediction, PromptOutcome, Track};
@@ -160,7 +161,10 @@ impl Tracker {
             let carried = meeting.carried(rows[row])?;
             let best = |overlap: &dyn Fn(&Region) -> f64| overlap(&carried.region).max(overlap(&carried.whole));
             let by_box = best(&|region| region.rect().iou(&sight.rect));
-            let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| best(&|region| fresh.region.iou(region)));
+            // The mask of a car is not the road on which it is, whatever was taken for a vehicle there.
+            let alike = |a: &Region, b: &Region| is_same_size(a.area() as f64 / b.area() as f64);
+            let overlap = |a: &Region, b: &Region| if alike(a, b) { a.iou(b) } else { 0.0 };
+            let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| best(&|region| overlap(&fresh.region, region)));
             let meets = by_mask >= self.options.min_overlap || by_box >= MIN_BOX_OVERLAP;
             (meets && track.may_be(sight.class())).then_some(0.5 * (by_box + by_mask))
         });

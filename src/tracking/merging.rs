@@ -21,6 +21,12 @@ use crate::scene::{FrameId, Gap, IdentityEvidence, Mask};
 const MIN_COLOURS: f64 = 0.6;
 /// Two views of one object differ in size by no more than this factor, besides what the distance does.
 const MAX_SIZE_RATIO: f64 = 2.5;
+
+/// Returns true if a ratio of areas or lengths may be that of two views of one object.
+pub(super) fn is_same_size(ratio: f64) -> bool {
+    (1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&ratio)
+}
+
 /// Points in the same arrangement that prove sameness: so many and one for every ten matches. Of 20 matches made by
 /// chance 6 agree in one case of a hundred, of 60 no more than 8 to 9.
 const MIN_POINTS: usize = 5;
@@ -69,7 +75,7 @@ pub fn same(pair: &Pair) -> Result<f64, String> {
     if place > 1.0 {
         return Err("too far from its predicted position".to_owned());
     }
-    if size.is_some_and(|size| !(1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&size)) {
+    if size.is_some_and(|size| !is_same_size(size)) {
         return Err("different size".to_owned());
     }
     let colours = colours.unwrap_or(0.0);
@@ -179,7 +185,7 @@ impl Similarity {
         }
         let turn = [(u * x + v * y) / length_sq, (u * y - v * x) / length_sq];
         let scale = turn[0].hypot(turn[1]);
-        let is_possible = (1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&scale) && turn[0] >= Self::MIN_COS * scale;
+        let is_possible = is_same_size(scale) && turn[0] >= Self::MIN_COS * scale;
         is_possible.then_some(Self { from: p.0, to: p.1, turn })
     }
 

@@ -3,6 +3,9 @@
 //! A mask that is carried wears out with every frame. When a new one comes, the frames before it are nearer to it than
 //! to the last one: there the new mask is carried back, by the same motions the other way round. With a look in every
 //! K-th frame no mask is then carried further than K / 2 frames.
+//!
+//! What enters the picture is seen in part, and its carried mask stays a part: there the new mask is carried back all
+//! the way, and the border of the picture cuts it.
 
 use std::collections::VecDeque;
 
@@ -28,9 +31,16 @@ pub struct Correction {
     pub mask: Mask,
 }
 
+/// Distance from the border of the picture at which it cuts a mask, pixels: networks leave the outermost ones out.
+const CUT_PX: u32 = 3;
+
 /// The way of an object since its last new mask.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Way(VecDeque<Step>);
+pub(super) struct Way {
+    /// That mask.
+    first: Option<Region>,
+    steps: VecDeque<Step>,
+}
 
 #[derive(Clone, Debug)]
 struct Step {
@@ -44,19 +54,20 @@ struct Step {
 impl Way {
     /// Goes on to a frame to which the mask was carried.
     pub(super) fn go(&mut self, frame: FrameId, carried: &Propagated) {
-        if self.0.len() >= MAX_FRAMES {
-            self.0.pop_front();
+        if self.steps.len() >= MAX_FRAMES {
+            self.steps.pop_front();
         }
         let (motion, region, is_hidden) = (carried.motion.clone(), carried.region.clone(), is_hidden(carried));
-        self.0.push_back(Step { frame, motion, region, is_hidden });
+        self.steps.push_back(Step { frame, motion, region, is_hidden });
     }
 
-    pub(super) fn forget(&mut self) {
-        self.0.clear();
+    /// Begins again at a new mask; without one, nothing can be carried back to before.
+    pub(super) fn begin(&mut self, first: Option<&Region>) {
+        *self = Self { first: first.cloned(), steps: VecDeque::new() };
     }
 
-    /// The masks of the frames that are nearer to a new mask than to the last one, as far back as nothing hides a part
-    /// of the object.
+    /// The masks of the frames that are nearer to a new mask than to the last one, or of all if the border cut that,
+    /// as far back as nothing hides a part of the object.
     ///
     /// * `carried` – the object as it was carried into the frame of the new mask.
     pub(super) fn retraced(&self, new: &Region, carried: &Propagated, size: (u32, u32)) -> Vec<(FrameId, Region)> {
@@ -64,14 +75,18 @@ impl Way {
         if is_hidden(carried) {
             return found;
         }
+        let enters = self.first.as_ref().is_some_and(|first| is_cut(first, size)) && !is_cut(new, size);
+        let agreement = |region: &Region, before: &Region| {
+            if enters { before.covered_by(region) } else { region.iou(before) }
+        };
+        let num_frames = if enters { self.steps.len() } else { self.steps.len() / 2 };
         let mut motion = carried.motion.clone();
-        for (k, step) in self.0.iter().enumerate().rev().take(self.0.len() / 2) {
-            debug_assert!(self.0.len() - k <= k, "nearer to the new mask");
+        for step in self.steps.iter().rev().take(num_frames) {
             if step.is_hidden {
                 break;
             }
-            let region = motion.pulled(new, size.0, size.1).filter(|region| region.iou(&step.region) >= AGREEMENT);
-            let Some(region) = region else { break };
+            let region = motion.pulled(new, size.0, size.1);
+            let Some(region) = region.filter(|region| agreement(region, &step.region) >= AGREEMENT) else { break };
             found.push((step.frame, region));
             motion = step.motion.then(&motion);
         }
@@ -81,6 +96,12 @@ impl Way {
 
 fn is_hidden(carried: &Propagated) -> bool {
     carried.cover.region.is_some() || carried.is_partly_hidden()
+}
+
+/// Returns true if the border of the picture cuts a mask.
+fn is_cut(region: &Region, (width, height): (u32, u32)) -> bool {
+    let bounds = region.bounds();
+    bounds.x0 < CUT_PX || bounds.y0 < CUT_PX || bounds.x1 + CUT_PX > width || bounds.y1 + CUT_PX > height
 }
 
 /// Masks reported for the latest frames.
@@ -147,6 +168,22 @@ mod tests {
         assert_eq!(found, [(FrameId(4), block(17, 9, 20, 10)), (FrameId(3), block(14, 8, 20, 10))]);
         let found = worn(3).retraced(&block(17, 9, 20, 10), &carried(block(17, 9, 12, 10)), SIZE);
         assert_eq!(found, [(FrameId(3), block(14, 8, 20, 10))]);
+    }
+
+    #[test]
+    fn what_enters_gets_the_new_mask_all_the_way() {
+        // The left half was visible in frame 0, and is carried; the new mask shows all of it.
+        let mut way = Way::default();
+        way.begin(Some(&block(0, 5, 10, 10)));
+        for t in 1..=4 {
+            way.go(FrameId(t), &carried(block(3 * t, 5 + t, 10, 10)));
+        }
+        let found = way.retraced(&block(5, 10, 20, 10), &carried(block(15, 10, 10, 10)), SIZE);
+        let expected =
+            [(4, block(2, 9, 20, 10)), (3, block(0, 8, 19, 10)), (2, block(0, 7, 16, 10)), (1, block(0, 6, 13, 10))];
+        assert_eq!(found, expected.map(|(frame, region)| (FrameId(frame), region)));
+        let still_cut = way.retraced(&block(0, 10, 20, 10), &carried(block(15, 10, 10, 10)), SIZE);
+        assert!(still_cut.len() <= 2);
     }
 
     #[test]

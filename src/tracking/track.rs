@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use super::appearance::Appearance;
 use super::box_groups::BoxGroup;
 use super::choice::Fresh;
+use super::merging::is_same_size;
 use super::occlusion::Cover;
 use super::propagation::Propagated;
 use super::region::Region;
@@ -163,13 +164,15 @@ impl Track {
 
     fn bare(provisional: ObjectId, region: Region, appearance: Option<Appearance>, now: Moment) -> Self {
         let (size, area) = (region.size(), region.area() as f64);
+        let mut way = Way::default();
+        way.begin(Some(&region));
         Self {
             provisional,
             id: None,
             presence: Presence::Detected,
             whole: region.clone(),
             cover: Cover::default(),
-            way: Way::default(),
+            way,
             region,
             appearance,
             size,
@@ -235,7 +238,7 @@ impl Track {
         if let Some(carried) = prediction.carried.as_ref().filter(|_| !self.is_lost()) {
             self.learn_velocity(carried.displacement, prediction.background, elapsed_s);
         }
-        self.way.forget();
+        self.way.begin(Some(&fresh.region));
         self.size = fresh.region.size().max(self.size * (1.0 - SHRINK_RATE));
         self.region = fresh.region.clone();
         self.learn_whole(prediction.carried.as_ref());
@@ -328,7 +331,7 @@ impl Track {
             self.presence = Presence::Lost(now.time_s);
         }
         (self.whole, self.cover) = (moved.clone(), Cover::default());
-        self.way.forget();
+        self.way.begin(None);
         self.region = moved;
     }
 
@@ -378,7 +381,7 @@ impl Track {
         let [dx, dy] = difference(region.centre(), self.region.centre());
         let nearness = 1.0 - dx.hypot(dy) / reach;
         let ratio = region.area() as f64 / self.ledger.mean_area().max(1.0);
-        let fits = similarity >= min_similarity && nearness > 0.0 && (0.25..=4.0).contains(&ratio);
+        let fits = similarity >= min_similarity && nearness > 0.0 && is_same_size(ratio);
         let evidence = IdentityEvidence {
             place: Some(1.0 - nearness),
             colours: Some(similarity.min(1.0)),

@@ -15,7 +15,7 @@ use ::image::RgbImage;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use self::dis::{DisFlow, DisPreset};
+pub use self::dis::DisFlow;
 pub use self::network::OnnxFlow;
 use super::tensor::Between;
 use super::{INPUT_SIZES, PerceptionError};
@@ -25,32 +25,19 @@ use crate::scene::{Flow, Rect};
 
 /// Estimates where the pixels of one frame lie in another.
 pub trait FlowEstimator {
-    /// The flow from one frame to another of the same size, at their size.
+    /// The flow from one frame to another of the same size in and near some boxes of the first, at their size.
+    /// Elsewhere it may be left out: no pixel is consistent there.
     ///
     /// # Errors
     /// [`PerceptionError::SizeMismatch`] if the frames differ in size; whatever the estimator runs into.
-    fn flow(&mut self, from: &RgbImage, to: &RgbImage) -> Result<Flow, PerceptionError>;
-
-    /// The flow in and near some boxes of the first frame. Elsewhere it may be left out: no pixel is consistent there.
-    ///
-    /// # Errors
-    /// As [`FlowEstimator::flow`].
-    fn flow_near(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError> {
-        if boxes.is_empty() {
-            check_sizes(from, to)?;
-            return Ok(parts::nothing(from.dimensions()));
-        }
-        self.flow(from, to)
-    }
+    fn flow(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError>;
 }
 
 /// Options of optical flow.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct FlowOptions {
-    /// Quality of DIS.
-    pub preset: DisPreset,
-    /// Frames with a longer side are shrunk to this many pixels for the estimate; the flow is given at full size.
+    /// A flow network takes frames with a longer side shrunk to this many pixels; the flow is given at full size.
     #[schemars(extend("unit" = "pixels"))]
     pub max_dimension: u32,
     /// Share α of the squared lengths of both flows that the way there and back may miss by.
@@ -62,7 +49,7 @@ pub struct FlowOptions {
 
 impl Default for FlowOptions {
     fn default() -> Self {
-        Self { preset: DisPreset::Fast, max_dimension: 960, consistency_relative: 0.01, consistency_absolute_px2: 0.5 }
+        Self { max_dimension: 960, consistency_relative: 0.01, consistency_absolute_px2: 0.5 }
     }
 }
 

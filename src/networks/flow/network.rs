@@ -4,13 +4,14 @@ use std::path::Path;
 
 use ::image::RgbImage;
 
+use super::parts::nothing;
 use super::{Field, FlowEstimator, FlowOptions, at_frame_size, check_sizes, consistent};
 use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::image::{resize_rgb, scale_to_fit};
 use crate::networks::PerceptionError;
 use crate::networks::description::{Preprocessing, find_known, read_sidecar};
 use crate::networks::tensor::tensor_from_image;
-use crate::scene::Flow;
+use crate::scene::{Flow, Rect};
 
 /// RAFT works at an eighth of the input, so open sides are multiples of this.
 const STRIDE: u32 = 8;
@@ -88,11 +89,11 @@ impl OnnxFlow {
 }
 
 impl FlowEstimator for OnnxFlow {
-    fn flow(&mut self, from: &RgbImage, to: &RgbImage) -> Result<Flow, PerceptionError> {
+    fn flow(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError> {
         check_sizes(from, to)?;
         let (width, height) = from.dimensions();
-        if width == 0 || height == 0 {
-            return Ok(Flow { width, height, displacement: Vec::new(), consistent: Vec::new() });
+        if boxes.is_empty() || from.is_empty() {
+            return Ok(nothing((width, height)));
         }
         let (w, h) = self.input_size((width, height));
         let from = tensor_from_image(&resize_rgb(from, w, h)?, &self.preprocessing);

@@ -92,7 +92,7 @@ fn follow_back(
     let mut later: Option<&RgbImage> = None;
     for (frame, picture) in window.iter().rev() {
         let known = super::masks_in(run, folder, &objects, frame)?;
-        let near = |later| flow.flow_near(later, picture, &tracker.places());
+        let near = |later| flow.flow(later, picture, &tracker.places());
         let carried = later.filter(|_| tracker.is_following()).map(near).transpose()?;
         let prompter = finds.prompter_backward(frame)?;
         let earlier = tracker.advance(frame, picture, &known, prompter, carried.as_ref())?;

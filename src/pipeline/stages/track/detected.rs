@@ -123,7 +123,7 @@ pub(super) fn follow(
     let mut index = 0;
     let chosen = (run.source.frames_at(names.keys().copied().collect())?, frames.len());
     images::for_each(run, Stage::Track, chosen, outcome, |frame, picture| {
-        let near = |previous| flow.flow_near(previous, &picture, &tracker.places());
+        let near = |previous| flow.flow(previous, &picture, &tracker.places());
         let carried = previous.as_ref().map(near).transpose()?;
         let look = finds.look(run, index, &frame)?;
         for TrackedMask { object, mask, .. } in tracker.advance(&frame, &picture, look, carried.as_ref())? {
