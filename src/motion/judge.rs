@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::contact::ContactEvidence;
 use super::{ContactDepth, Evidence, PointTrack, TrackLabel, Verdict};
+use crate::math::upper_median;
 use crate::scene::Movement;
 
 /// A track that lies on an object.
@@ -38,6 +39,8 @@ pub enum MovementReason {
     FootBehindGround,
     /// Its points and its foot are those of a stationary object, and hardly those of a moving one.
     PointsStand,
+    /// Points leave their lines by no more than the sway of a camera that hovers.
+    Sway,
     /// Points contradict one another.
     Divided,
     /// It may be stationary, or move along the camera's path.
@@ -87,6 +90,9 @@ impl fmt::Display for Judgement {
                     self.num_standing
                 )
             }
+            MovementReason::Sway => {
+                write!(f, "{moving} of {all} points move, by no more than tall objects do as a hovering camera sways")
+            }
             MovementReason::Divided => write!(f, "{moving} of {all} points move: inconclusive"),
             MovementReason::AlongCameraPath => {
                 let odds = self.odds;
@@ -116,6 +122,28 @@ const LEAST_RATE: f64 = 10.0;
 /// Odds for one hypothesis over the other from which it is accepted: between substantial and strong evidence, 3.2 and
 /// 10 (H. Jeffreys, *Theory of Probability*, 1961, app. B).
 pub const CLEAR_ODDS: f64 = 5.0;
+
+/// Deviation of points from the place of stationary ones that the sway of a hovering camera explains, as a share of the
+/// object's size: a sway of a tenth of the distance, of an object as high as it is wide. A vehicle that moves passes it
+/// within half a meter.
+const SWAY: f64 = 0.1;
+
+/// Revises what was judged of an object before a camera that hovers: poses have one center there, so that points of tall
+/// stationary objects, such as houses, leave their lines as the camera sways.
+///
+/// * `size_px` – of the object in the image.
+pub fn without_sway(judged: Judgement, points: &[PointOnObject], size_px: f64) -> Judgement {
+    let on_it = points.iter().filter(|point| point.inside >= LEAST_INSIDE);
+    let moving = on_it.filter(|point| point.label.verdict == Verdict::Moving(Evidence::OffItsLine));
+    let deviation_px = upper_median(moving.map(|point| point.label.deviation_px).collect());
+    let is_sway = deviation_px.is_some_and(|deviation_px| deviation_px <= SWAY * size_px);
+    match judged.reason {
+        MovementReason::PointsMove | MovementReason::MovesForATime if is_sway => {
+            Judgement { movement: Movement::Undetermined, reason: MovementReason::Sway, ..judged }
+        }
+        _ => judged,
+    }
+}
 
 /// Judges an object by the tracks that lie on it.
 ///
@@ -224,6 +252,24 @@ mod tests {
         let labels: Vec<TrackLabel> = heights.iter().map(label).collect();
         let point = |label| PointOnObject { track: &track, label, inside, foot: None };
         judge(&labels.iter().map(point).collect::<Vec<_>>(), 10.0).is_flat
+    }
+
+    #[test]
+    fn what_sways_with_a_hovering_camera_is_not_known_to_move() {
+        let track = PointTrack { first: 0, pixels: vec![[0.0, 0.0]; 30] };
+        let label = TrackLabel {
+            verdict: Verdict::Moving(Evidence::OffItsLine),
+            strength: 9.0,
+            deviation_px: 3.0,
+            relative_height: None,
+            static_point: None,
+        };
+        let points = [PointOnObject { track: &track, label: &label, inside: 1.0, foot: None }; 6];
+        let judged = judge(&points, 10.0);
+        assert_eq!(judged.reason, MovementReason::PointsMove);
+        let house = without_sway(judged, &points, 100.0);
+        assert_eq!((house.movement, house.reason), (Movement::Undetermined, MovementReason::Sway));
+        assert_eq!(without_sway(judged, &points, 20.0), judged, "a car of 20 px that moved by 3");
     }
 
     #[test]

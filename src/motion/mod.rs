@@ -30,7 +30,7 @@ use serde::{Deserialize, Serialize};
 pub use self::classify::{Evidence, StaticPoint, TrackLabel, Verdict, classify};
 pub use self::follower::{PointFollower, PointTrack};
 pub use self::ground::GroundModel;
-pub use self::judge::{CLEAR_ODDS, Judgement, MovementReason, PointOnObject, judge, judge_pieces};
+pub use self::judge::{CLEAR_ODDS, Judgement, MovementReason, PointOnObject, judge, judge_pieces, without_sway};
 pub use self::movers::{Mover, movers};
 use crate::camera::Camera;
 use crate::checks::{Checked, under, within};

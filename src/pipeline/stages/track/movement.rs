@@ -7,9 +7,12 @@ use serde::{Deserialize, Serialize};
 
 use super::kept_masks::KeptMasks;
 use crate::math::rounding::with_std;
-use crate::motion::{CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces};
+use crate::motion::{
+    CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces, without_sway,
+};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
+use crate::pipeline::stages::background;
 use crate::pipeline::stages::motion::{self, Points, World};
 use crate::scene::{
     DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, TrackedObject,
@@ -81,7 +84,7 @@ pub(super) fn find(
     let points = motion::points(run)?;
     let size = (run.info().width, run.info().height);
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, masks, objects, &points)? };
-    let second = frames_per_second(run.frames()?);
+    let (second, hovers) = (frames_per_second(run.frames()?), background::hovers(run));
     let none = OnObject::default();
     let (mut sighted, mut findings) = (BTreeMap::new(), PointFindings::new());
     for object in objects {
@@ -95,7 +98,10 @@ pub(super) fn find(
             let inside = count as f64 / track.pixels.len().max(1) as f64;
             pieces[piece].push(PointOnObject { track, label, inside, foot });
         }
-        let judged = judge_pieces(&pieces, second);
+        let mut judged = judge_pieces(&pieces, second);
+        if hovers {
+            judged = without_sway(judged, &pieces.concat(), on_it.mean_size_px());
+        }
         let is_examined = !points.frames.is_empty();
         if is_examined {
             object.movement = finding(object, &judged);
@@ -130,6 +136,11 @@ struct OnObject {
 }
 
 impl OnObject {
+    /// Side of a square as large as the mean mask, pixels.
+    fn mean_size_px(&self) -> f64 {
+        (self.area as f64 / self.num_masks.max(1) as f64).sqrt()
+    }
+
     /// Mean share of the picture that the masks cover.
     fn mean_share(&self, (width, height): (u32, u32)) -> f64 {
         let all = f64::from(width) * f64::from(height) * self.num_masks.max(1) as f64;
