@@ -208,7 +208,7 @@ struct Live<'a> {
     load: Arc<Mutex<Load>>,
     mapper: Worker<Snapshot, Result<WorldMap, NoMap>>,
     modeler: Worker<Request, BTreeMap<ObjectId, Model>>,
-    /// What becomes final when the models are made.
+    /// Results that become final when the models are made.
     leaving: Option<Leaving>,
     telemetry: Option<&'a TelemetryFeed>,
     watch: Option<&'a Watch>,
@@ -383,7 +383,7 @@ impl Live<'_> {
     }
 }
 
-/// What becomes final with a map.
+/// Results that become final with a map.
 struct Leaving {
     map: Arc<WorldMap>,
     /// Contact points in it.

@@ -162,7 +162,7 @@ impl Vehicles {
         Ok(())
     }
 
-    /// What models of the vehicles in a map are made of.
+    /// Input of the models of the vehicles in a map.
     pub(super) fn request(&self, map: &Arc<WorldMap>) -> Request {
         let subject = |(&object, vehicle): (&ObjectId, &Vehicle)| {
             let (Identity { class, confidence, .. }, points) = (vehicle.identity.clone()?, vehicle.points.as_ref()?);

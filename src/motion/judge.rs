@@ -123,13 +123,13 @@ const LEAST_RATE: f64 = 10.0;
 /// 10 (H. Jeffreys, *Theory of Probability*, 1961, app. B).
 pub const CLEAR_ODDS: f64 = 5.0;
 
-/// Deviation of points from the place of stationary ones that the sway of a hovering camera explains, as a share of the
-/// object's size: a sway of a tenth of the distance, of an object as high as it is wide. A vehicle that moves passes it
-/// within half a meter.
+/// Deviation of points from the place of stationary ones that the sway of a hovering camera explains, as a share of
+/// the object's size: a sway of a tenth of the distance, of an object as high as it is wide. A vehicle that moves
+/// passes it within half a meter.
 const SWAY: f64 = 0.1;
 
-/// Revises what was judged of an object before a camera that hovers: poses have one center there, so that points of tall
-/// stationary objects, such as houses, leave their lines as the camera sways.
+/// Revises the judgement of an object before a camera that hovers: poses have one center there, so that points of
+/// tall stationary objects, such as houses, leave their lines as the camera sways.
 ///
 /// * `size_px` – of the object in the image.
 pub fn without_sway(judged: Judgement, points: &[PointOnObject], size_px: f64) -> Judgement {
