@@ -325,12 +325,12 @@ impl Live<'_> {
             self.finalize(&BTreeMap::new())?;
         }
         self.window.take_poses(&map);
-        let positions = self.vehicles.take_map(&map, self.options);
+        self.vehicles.take_map(&map, self.options);
         self.end.maps += 1;
         self.send(Line::Map(MapLine { models: self.vehicles.num_models(), ..map.line.clone() }))?;
         if map.purpose != Purpose::Revision {
             self.modeler.request(self.vehicles.request(&map));
-            self.leaving = Some(Leaving { map: map.clone(), positions });
+            self.leaving = Some(Leaving { map: map.clone(), positions: self.vehicles.positions() });
         }
         self.map = Some(map);
         Ok(())

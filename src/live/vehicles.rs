@@ -224,13 +224,12 @@ impl Vehicles {
         lines
     }
 
-    /// Takes a new map: revises the contact points of all frames, and gives them.
-    pub(super) fn take_map(&mut self, map: &WorldMap, options: &Options) -> BTreeMap<ObjectId, Positions> {
+    /// Takes a new map: revises the contact points of all frames.
+    pub(super) fn take_map(&mut self, map: &WorldMap, options: &Options) {
         let frames: Vec<&Frame> = self.frames.values().filter(|frame| frame.time_s <= map.time_s).collect();
         let objects: Vec<ObjectId> = self.vehicles.keys().copied().collect();
         let found: BTreeMap<ObjectId, Contacts> =
             objects.into_iter().map(|id| (id, self.contacts(id, map, &map.model, &frames, options))).collect();
-        let mut revised = BTreeMap::new();
         for (id, contacts) in found {
             let Some(vehicle) = self.vehicles.get_mut(&id) else { continue };
             if !map.is_continued {
@@ -238,9 +237,12 @@ impl Vehicles {
                 vehicle.offsets.clear();
             }
             vehicle.positions.extend(contacts.positions.into_iter().map(|position| (position.frame, position)));
-            revised.insert(id, vehicle.positions.clone());
         }
-        revised
+    }
+
+    /// Contact points of all vehicles, in the frame of the last map.
+    pub(super) fn positions(&self) -> BTreeMap<ObjectId, Positions> {
+        self.vehicles.iter().map(|(&id, vehicle)| (id, vehicle.positions.clone())).collect()
     }
 
     /// Number of vehicles of which the local frame has a model.

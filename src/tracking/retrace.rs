@@ -4,8 +4,8 @@
 //! to the last one: there the new mask is carried back, by the same motions the other way round. With a look in every
 //! K-th frame no mask is then carried further than K / 2 frames.
 //!
-//! What enters the picture is seen in part, and its carried mask stays a part: there the new mask is carried back all
-//! the way, and the border of the picture cuts it.
+//! An object that enters the picture is seen in part, and its carried mask stays a part: there the new mask is carried
+//! back all the way, and the border of the picture cuts it.
 
 use std::collections::VecDeque;
 
@@ -32,7 +32,7 @@ pub struct Correction {
 }
 
 /// Distance from the border of the picture at which it cuts a mask, pixels: networks leave the outermost ones out.
-const CUT_PX: u32 = 3;
+pub const CUT_PX: u32 = 3;
 
 /// The way of an object since its last new mask.
 #[derive(Clone, Debug, Default)]

@@ -17,7 +17,7 @@ use crate::pipeline::stages::motion::{self, Points, World};
 use crate::scene::{
     DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, TrackedObject,
 };
-use crate::tracking::MaskEvidence;
+use crate::tracking::{CUT_PX, MaskEvidence};
 use crate::trajectory::motion_by_shaking;
 
 /// Finding where nothing was examined.
@@ -211,9 +211,6 @@ fn foot(
     let view = world.views.get(point.frame as usize)?.as_ref()?;
     let (column, first) = (x.floor() as i64, y.floor() as i64);
     let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;
-    let is_cut = last + CUT_PX >= i64::from(mask.height());
+    let is_cut = last + i64::from(CUT_PX) >= i64::from(mask.height());
     world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point, ground_tolerance)
 }
-
-/// Rows above the lower border of the picture at which a mask is cut off by it: networks leave the last ones out.
-const CUT_PX: i64 = 3;
