@@ -10,6 +10,8 @@ pub(super) struct Clock {
     /// The last few intervals that the container stated, seconds.
     recent_s: VecDeque<f64>,
     last_s: Option<f64>,
+    /// What the container said of the last frame.
+    stated_s: Option<f64>,
     num_rebuilt: u32,
     num_trailing: u32,
 }
@@ -26,20 +28,25 @@ const STEADY: f64 = 0.05;
 impl Clock {
     pub(super) fn new(fps: Option<f64>) -> Self {
         let nominal_step_s = 1.0 / fps.unwrap_or(FALLBACK_FPS);
-        Self { nominal_step_s, recent_s: VecDeque::new(), last_s: None, num_rebuilt: 0, num_trailing: 0 }
+        let recent_s = VecDeque::new();
+        Self { nominal_step_s, recent_s, last_s: None, stated_s: None, num_rebuilt: 0, num_trailing: 0 }
     }
 
     /// The time of the next frame, from what the container says.
     pub(super) fn advance(&mut self, stated_s: Option<f64>) -> f64 {
-        let rises = |time: &f64| (0.0..=LATEST_S).contains(time) && self.last_s.is_none_or(|last| *time > last);
-        if let Some(stated_s) = stated_s.filter(rises) {
+        let stated_s = stated_s.filter(|time_s| (0.0..=LATEST_S).contains(time_s));
+        let before_s = std::mem::replace(&mut self.stated_s, stated_s);
+        if let Some(stated_s) = stated_s.filter(|time_s| self.last_s.is_none_or(|last| *time_s > last)) {
             if let Some(last) = self.last_s.filter(|_| self.num_trailing == 0) {
-                self.recent_s.truncate(NUM_RECENT - 1);
-                self.recent_s.push_front(stated_s - last);
+                self.note(stated_s - last);
             }
             self.num_trailing = 0;
             self.last_s = Some(stated_s);
             return stated_s;
+        }
+        // Stamps behind the rebuilt ones show the pace, too; a guessed step that is too long would never let them rise.
+        if let Some((stated_s, before_s)) = stated_s.zip(before_s).filter(|(stated_s, before_s)| stated_s > before_s) {
+            self.note(stated_s - before_s);
         }
         self.num_rebuilt += 1;
         self.num_trailing += 1;
@@ -47,6 +54,11 @@ impl Clock {
         let time_s = self.last_s.map_or(0.0, |last| (last + self.step_s()).max(last.next_up()));
         self.last_s = Some(time_s);
         time_s
+    }
+
+    fn note(&mut self, interval_s: f64) {
+        self.recent_s.truncate(NUM_RECENT - 1);
+        self.recent_s.push_front(interval_s);
     }
 
     /// Number of guessed time stamps. Stamps after the last stated one of a steady rate do not count: decoders give
@@ -98,6 +110,15 @@ mod tests {
             assert!((time - expected).abs() < 1e-12, "{times:?}");
         }
         assert_eq!(clock.num_guessed(), 3);
+    }
+
+    #[test]
+    fn stamps_behind_the_rebuilt_ones_show_the_pace() {
+        let mut clock = Clock::new(Some(8.0));
+        let times: Vec<f64> =
+            [2.3, 2.2, 2.3, 2.4, 2.5, 2.6, 2.7, 2.8].into_iter().map(|s| clock.advance(Some(s))).collect();
+        let steps: Vec<f64> = times.windows(2).map(|pair| pair[1] - pair[0]).collect();
+        assert!(steps[1..].iter().all(|step| (step - 0.1).abs() < 1e-9), "{times:?}");
     }
 
     #[test]
