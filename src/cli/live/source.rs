@@ -21,7 +21,12 @@ use crate::files;
 
 /// The program that receives streams.
 const FFMPEG: &str = "ffmpeg";
-/// Time after which a stream that sends nothing has ended, microseconds.
+/// Time for which a stream is looked at before its packets are passed on, microseconds; 5 s by default.
+const ANALYSIS_US: &str = "500000";
+/// RTP has no decoding times, without which ffmpeg writes no frames out of order; it leaves out the first time as well.
+/// Decoding precedes presentation by a second, as much as frames are out of order at most.
+const DECODING_TIMES: &str = r"setts=pts=if(eq(PTS\,NOPTS)\,DTS-0.5/TB\,PTS):dts=if(eq(PREV_OUTDTS\,NOPTS)\,DTS-1/TB\,max(PREV_OUTDTS+1\,PTS-1/TB))";
+/// Time after which a stream that sends nothing has ended, microseconds. A running RTSP stream gets it twice.
 const SILENCE_US: &str = "10000000";
 /// Time that the program gets to end by itself.
 const PATIENCE: Duration = Duration::from_millis(200);
@@ -82,14 +87,21 @@ fn arguments(source: &str, stream: Stream) -> Vec<&str> {
     let mut all = vec!["-nostdin", "-hide_banner", "-loglevel", "error"];
     all.extend(match stream {
         Stream::Rtsp => {
-            ["-protocol_whitelist", "rtsp,rtp,udp,tcp", "-rtsp_transport", "tcp", "-timeout", SILENCE_US].as_slice()
+            ["-protocol_whitelist", "rtsp,rtp,udp,tcp", "-rtsp_flags", "prefer_tcp", "-timeout", SILENCE_US].as_slice()
         }
         Stream::Udp => ["-protocol_whitelist", "udp,rtp", "-timeout", SILENCE_US].as_slice(),
         Stream::Camera => ["-f", "v4l2"].as_slice(),
     });
     // Matroska holds what cameras send, JPEG images and raw ones; a transport stream comes with less delay.
     let container = if stream == Stream::Camera { "matroska" } else { "mpegts" };
-    all.extend(["-i", source, "-map", "0:v:0", "-c", "copy", "-flush_packets", "1", "-f", container, "pipe:1"]);
+    if stream != Stream::Camera {
+        all.extend(["-analyzeduration", ANALYSIS_US]);
+    }
+    all.extend(["-i", source, "-map", "0:v:0", "-c", "copy"]);
+    if stream == Stream::Rtsp {
+        all.extend(["-bsf:v", DECODING_TIMES]);
+    }
+    all.extend(["-flush_packets", "1", "-f", container, "pipe:1"]);
     all
 }
 
@@ -189,6 +201,10 @@ mod tests {
             let after = |name: &str| arguments[arguments.iter().position(|found| *found == name).unwrap() + 1];
             assert_eq!((after("-protocol_whitelist"), after("-c"), after("-f")), (protocols, "copy", "mpegts"));
             assert_eq!((after("-i"), arguments.last()), ("udp://127.0.0.1:1", Some(&"pipe:1")));
+            // An option after the input would be one of the output.
+            let place = |name: &str| arguments.iter().position(|found| *found == name).unwrap();
+            assert!(place("-analyzeduration") < place("-i") && place("-timeout") < place("-i"));
+            assert_eq!(arguments.contains(&"-bsf:v"), stream == Stream::Rtsp);
         }
         assert!(arguments("/dev/video0", Stream::Camera).ends_with(&["-f", "matroska", "pipe:1"]));
     }
