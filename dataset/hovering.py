@@ -177,6 +177,29 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
             _state(f"all, {kind}", np.concatenate(errors))
 
 
+def compare_live(sequence: Path, run: Path) -> None:
+    """Prints the errors of the positions on the map of a live run, by state and method, of the vehicles that move."""
+    truth = Truth.read(sequence)
+    # Those that stand are no part of the truth.
+    near_m = 5.0
+    errors: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    for line in map(json.loads, (run / "live.jsonl").read_text().splitlines()):
+        if line["kind"] != "vehicle" or line["geo"] is None:
+            continue
+        at = from_map(line["geo"]["longitude"], line["geo"]["latitude"])
+        error = min(float(np.linalg.norm(at - poses[line["frame"]][:2, 3])) for poses in truth.vehicles.values())
+        if error < near_m:
+            errors.setdefault((line["state"], line["method"]), []).append((error, line["geo"]["horizontal_std"]))
+    for (state, method), pairs in sorted(errors.items()):
+        size, std = np.array(pairs).T
+        # Of two axes 39, 86, 99 % are within 1, 2, 3 standard deviations of one.
+        inside = ", ".join(f"{100 * float((size < k * std / np.sqrt(2)).mean()):.0f}" for k in (1, 2, 3))
+        print(
+            f"{state}, {method}: {len(size)} positions, mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, "
+            f"within 1, 2, 3 σ of an axis {inside} %, mean σ {std.mean():.2f} m"
+        )
+
+
 def _state(what: str, errors: np.ndarray) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
@@ -231,13 +254,15 @@ def main() -> None:
     inputs.add_argument("sequence", type=Path)
     inputs.add_argument("output", type=Path)
     inputs.add_argument("--seed", type=int, default=1)
-    errors = commands.add_parser("compare", help="errors of a run's positions")
+    errors = commands.add_parser("compare", help="errors of the positions of a run, or of a live run on a map")
     errors.add_argument("sequence", type=Path)
     errors.add_argument("run", type=Path)
     errors.add_argument("--points", type=Path, help="points of the map, for the homography")
     arguments = parser.parse_args()
     if arguments.command == "inputs":
         write_inputs(arguments.sequence, arguments.output, arguments.seed)
+    elif (arguments.run / "live.jsonl").is_file() and not (arguments.run / "trajectories.json").is_file():
+        compare_live(arguments.sequence, arguments.run)
     else:
         compare(arguments.sequence, arguments.run, arguments.points)
 

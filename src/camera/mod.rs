@@ -84,6 +84,11 @@ impl Camera {
         Self::with_focal(width, height, f64::from(width.max(height)))
     }
 
+    /// The same with another focal length.
+    pub fn zoomed(&self, factor: f64) -> Self {
+        Self { focal: self.focal.map(|focal| focal * factor), ..*self }
+    }
+
     /// Parameters in the order fx, fy, cx, cy, k1, k2.
     pub fn intrinsics(&self) -> [f64; NUM_INTRINSICS] {
         let ([fx, fy], [cx, cy], [k1, k2]) = (self.focal, self.principal, self.radial);

@@ -34,7 +34,7 @@ use super::run;
 use super::terminal::TerminalProgress;
 use crate::files::Growth;
 use crate::live::{self, EndLine, Job, Order};
-use crate::pipeline::{MaskChoice, Options, Progress, Stage, TelemetryChoice};
+use crate::pipeline::{MaskChoice, Options, Progress, Stage, TelemetryChoice, check_map_points};
 use cot::Cot;
 use network::Network;
 use source::Source;
@@ -73,6 +73,7 @@ pub(super) fn run(args: &LiveArgs, arguments: &[OsString], form: Form, talk: &Te
     let job = &args.job;
     let (source, mut options) = resolve(job, Stage::Report)?;
     args.network.check()?;
+    check_map_points(&options.metric).map_err(|error| Failure::Usage(error.to_string()))?;
     use_machine(&options)?;
     let recorded = follow(&source, args, &mut options, form, talk)?;
     if let Some(signal) = talk.stopped_by() {
@@ -187,7 +188,8 @@ struct Recorder {
 
 impl Recorder {
     fn copy(mut self) -> io::Result<()> {
-        let copied = self.copy_all();
+        // A program that receives is ended with the recording: that it failed then is no news.
+        let copied = self.copy_all().or_else(|error| if self.growth.is_finished() { Ok(()) } else { Err(error) });
         let synced = self.file.sync_all();
         self.growth.finish();
         copied.and(synced)

@@ -56,7 +56,7 @@ pub struct DominantPlane {
 
 impl DominantPlane {
     /// Root mean square distance of all ground points from the plane: how uneven the place is, units of the background.
-    pub(super) fn spread(&self, background: &Reconstruction) -> f64 {
+    pub fn spread(&self, background: &Reconstruction) -> f64 {
         let points = self.point_ids.iter().filter_map(|id| background.points.get(id));
         let squares: Vec<f64> = points
             .map(|point| self.normal.dot(&(point.position - self.point)).powi(2))

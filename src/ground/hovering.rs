@@ -30,6 +30,8 @@ use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconst
 pub struct HoveringGround {
     /// Unit normal in the background's frame, towards the camera.
     pub normal_in_world: Vector3<f64>,
+    /// A point of it: one unit below the camera that is at the origin.
+    pub point_in_world: Point3<f64>,
     /// Standard deviation of its tilt about any horizontal axis, radians.
     pub tilt_std: f64,
     /// Vehicles that show it.
@@ -130,6 +132,8 @@ const MAX_TILT_STD: f64 = 0.15;
 const MIN_FRAMES: usize = 6;
 /// Standard deviation of the ground's height below a vehicle as a share of the camera's: slopes and kerbs.
 const UNEVENNESS: f64 = 0.01;
+/// Least sine of a ray's angle below the horizon: beyond it the plane is too far away.
+const LEAST_DIP: f64 = 0.03;
 
 /// Deviations beyond which a source contradicts the others, as for sources of scale.
 const MAX_DEVIATIONS: f64 = 3.0;
@@ -174,8 +178,10 @@ pub fn hovering_ground(
     };
     let contradictions = (0..all.len()).filter_map(contradiction).collect();
     let tilt_std = covariance.trace().sqrt();
+    let normal_in_world = world_from_cam * up_in_cam(angles);
     (tilt_std <= MAX_TILT_STD).then(|| HoveringGround {
-        normal_in_world: world_from_cam * up_in_cam(angles),
+        normal_in_world,
+        point_in_world: Point3::from(-normal_in_world),
         tilt_std,
         num_vehicles: vehicles.len(),
         pitch: angles.x,
@@ -351,17 +357,31 @@ impl Problem<'_> {
 }
 
 impl HoveringGround {
-    /// The camera's height over it, which is the unit.
+    /// Height of a camera over it.
+    fn height_of(&self, image: &Image) -> f64 {
+        self.normal_in_world.dot(&(image.cam_from_world.center() - self.point_in_world))
+    }
+
+    /// The camera's height over it: a unit, but for its sway.
     pub fn camera_height(&self, background: &Reconstruction) -> CameraHeight {
+        let num_frames = background.images.len();
+        let sum: f64 = background.images.values().map(|image| self.height_of(image)).sum();
         CameraHeight {
-            mean: 1.0,
+            mean: if num_frames > 0 { sum / num_frames as f64 } else { 1.0 },
             std: UNEVENNESS,
             spread: 0.0,
             up_in_world: self.normal_in_world,
             tilt_spread: self.tilt_std,
-            num_frames: background.images.len(),
-            foot_in_world: Point3::from(-self.normal_in_world),
+            num_frames,
+            foot_in_world: self.point_in_world,
         }
+    }
+
+    /// Where a ray meets it; `None` where it passes too close to the horizon.
+    pub fn meets(&self, from: Point3<f64>, direction: &Vector3<f64>) -> Option<Point3<f64>> {
+        let dip = -self.normal_in_world.dot(direction) / direction.norm();
+        let height = self.normal_in_world.dot(&(from - self.point_in_world));
+        (dip >= LEAST_DIP).then(|| from + direction.normalize() * (height / dip))
     }
 
     /// The plane below an object in every frame that is registered in both models.
@@ -379,8 +399,9 @@ impl HoveringGround {
     fn plane_below(&self, background: &Reconstruction, image: &Image, pixels: &[Point2<f64>]) -> Option<GroundPlane> {
         let normal = self.normal_in_world;
         let center = image.cam_from_world.center();
-        let foot = lowest_foot(background, image, pixels, (&normal, 1.0))?;
-        let point = center - normal;
+        let height = self.height_of(image);
+        let foot = lowest_foot(background, image, pixels, (&normal, height))?;
+        let point = center - normal * height;
         let height_std = (self.tilt_std * (foot - point).norm()).hypot(UNEVENNESS);
         Some(GroundPlane {
             normal,

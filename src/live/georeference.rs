@@ -13,12 +13,12 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use super::line::GeoPosition;
 use super::telemetry::{Current, TelemetryFeed};
 use crate::metric::{
-    Alignment, CameraPath, Gravity, Kind, ObservedPoint, Offset, Source, Support, align_to_fixes, frame_on_map, fuse,
-    place_std_m,
+    Alignment, CameraPath, Fused, Gravity, Kind, Measured, ObservedPoint, Offset, Source, Support, align_to_fixes,
+    frame_on_map, fuse, place_std_m,
 };
-use crate::pipeline::{MetricOptions, dates_of_log, gimbal_orientation};
-use crate::scene::{ClockZone, Frame, FrameId, MapOrigin, MetricFrame, Reconstruction};
-use crate::telemetry::{LocalFixes, LocalFrame, Log, TimeBase, date};
+use crate::pipeline::{MetricOptions, OnMap, Station, dates_of_log, gimbal_orientation};
+use crate::scene::{ClockZone, Frame, FrameId, MapOrigin, MetricFrame, MetricVerdict, Reconstruction};
+use crate::telemetry::{Geodetic, LocalFixes, LocalFrame, Log, TimeBase, date};
 
 /// Length of the path, seconds: a baseline of hundreds of meters, over which maps drift by a few per cent.
 const PATH_S: f64 = 60.0;
@@ -32,6 +32,7 @@ const CONSISTENT: f64 = 3.0;
 /// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change
 /// moves all positions of the local frame.
 const BETTER: f64 = 0.5;
+const MAP_POINTS: &str = "map points";
 
 /// A camera center in the frame of the maps.
 struct Visited {
@@ -75,6 +76,8 @@ pub(super) struct Update<'a> {
     /// Other sources of scale.
     pub(super) sources: &'a [Source],
     pub(super) options: &'a MetricOptions,
+    /// Height of a camera that does not translate above the ground, units; its frame has its origin there.
+    pub(super) hovering: Option<Measured>,
 }
 
 impl Georeferencer {
@@ -100,9 +103,9 @@ impl Georeferencer {
         self.path.retain(|_, visited| visited.time_s >= begin_s);
         match self.align(update) {
             Err(problem) => self.problem = Some(problem),
-            Ok(new) => {
+            Ok((new, scale)) => {
                 self.problem = None;
-                self.hold(&new.alignment, drift);
+                self.hold(scale, drift);
                 let error = |found: &Georeference| found.camera_std(here, drift);
                 let is_better = self.found.as_ref().is_none_or(|found| error(&new) <= error(found));
                 if is_better {
@@ -130,46 +133,70 @@ impl Georeferencer {
         Some(Source { std: source.std.hypot((drift - before).max(0.0).sqrt()), ..source.clone() })
     }
 
-    fn hold(&mut self, alignment: &Alignment, drift: f64) {
-        let new = source(alignment);
+    fn hold(&mut self, new: Option<Source>, drift: f64) {
+        let Some(new) = new else { return };
         if self.scale(drift).is_none_or(|held| new.std < BETTER * held.std) {
             self.held = Some((new, drift));
         }
     }
 
-    fn align(&self, update: &Update) -> Result<Georeference, String> {
-        let Update { model, frames, gravity, drift, sources, options } = *update;
+    /// Position and attitude of a camera that does not translate.
+    ///
+    /// # Errors
+    /// Why there are none.
+    pub(super) fn station(
+        &self,
+        model: &Reconstruction,
+        frames: &[Frame],
+        options: &MetricOptions,
+    ) -> Result<Station, String> {
+        let Fixes { current, local, epoch_s } = self.fixes()?;
+        let offset = offset(&current, local.times, epoch_s, options);
+        Station::new(local, epoch_s, offset, frames, model, &current.log.fixes)
+    }
+
+    fn fixes(&self) -> Result<Fixes, String> {
         let current = self.feed.current().map_err(|error| error.to_string())?;
-        let LocalFixes { frame: map, knows_height, mut fixes, times, .. } =
-            current.log.local_fixes().ok_or("no position with a time")?;
+        let local = current.log.local_fixes().ok_or("no position with a time")?;
         // Seconds after 1970 have too few digits for steps of milliseconds.
-        let first_s = fixes.first().map_or(0.0, |fix| fix.time_s);
-        let epoch_s = if times == TimeBase::Clock { first_s } else { 0.0 };
-        fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
-        let path = self.camera_path()?;
-        let offset = offset(&current, times, epoch_s, options);
-        let orientation = match offset {
-            Offset::Known { mean_s, .. } => gimbal_orientation(model, frames, &current.log.fixes, epoch_s + mean_s),
-            Offset::Unknown => None,
+        let first_s = local.fixes.first().map_or(0.0, |fix| fix.time_s);
+        let epoch_s = if local.times == TimeBase::Clock { first_s } else { 0.0 };
+        Ok(Fixes { current, local, epoch_s })
+    }
+
+    /// The map, and meters per unit by it.
+    fn align(&self, update: &Update) -> Result<(Georeference, Option<Source>), String> {
+        let Update { model, frames, gravity, drift, sources, options, hovering } = *update;
+        let (alignment, scale, map, knows_height, clock_offset_s, log) = if let Some(height) = hovering {
+            let log = self.feed.current().map_err(|error| error.to_string())?.log;
+            let station = self.station(model, frames, options)?;
+            let alignment = station.alignment().ok_or("no gimbal angles, and the camera does not translate")?;
+            let of_height = station.height().map(|height_m| {
+                let (log_scale, std) = height_m.log_ratio(&height);
+                Source { name: "height above take-off".to_owned(), kind: Kind::Telemetry, log_scale, std }
+            });
+            let clock_offset_s = station.clock_offset_s();
+            (alignment, of_height, station.map, station.knows_height, clock_offset_s, log)
+        } else {
+            let Fixes { current, mut local, epoch_s } = self.fixes()?;
+            local.fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
+            let path = self.camera_path()?;
+            let offset = offset(&current, local.times, epoch_s, options);
+            let orientation = match offset {
+                Offset::Known { mean_s, .. } => gimbal_orientation(model, frames, &current.log.fixes, epoch_s + mean_s),
+                Offset::Unknown => None,
+            };
+            let support = Support { offset, gravity: gravity.filter(|_| orientation.is_none()), orientation };
+            let alignment = align_to_fixes(&path, &local.fixes, &support).map_err(|refusal| refusal.to_string())?;
+            let of_path = source(&alignment, "telemetry", Kind::Telemetry);
+            let clock_offset_s = epoch_s + alignment.offset_s;
+            (alignment, Some(of_path), local.frame, local.knows_height, clock_offset_s, current.log)
         };
-        let support = Support { offset, gravity: gravity.filter(|_| orientation.is_none()), orientation };
-        let alignment = align_to_fixes(&path, &fixes, &support).map_err(|refusal| refusal.to_string())?;
-        let of_log = source(&alignment);
-        let all: Vec<Source> = sources.iter().cloned().chain([of_log]).collect();
+        let all: Vec<Source> = sources.iter().cloned().chain(scale.clone()).collect();
         let fused = fuse(&all).ok_or("no scale")?;
-        let origin = map.origin;
-        let frame = frame_on_map(
-            &fused,
-            &alignment,
-            MapOrigin {
-                longitude: origin.longitude_deg,
-                latitude: origin.latitude_deg,
-                height_m: origin.height_m,
-                knows_height,
-            },
-        );
-        let utc_start_s = utc_start_s(&current.log, epoch_s + alignment.offset_s, options);
-        Ok(Georeference { frame, map, knows_height, utc_start_s, alignment, drift })
+        let frame = frame_on_map(&fused, &alignment, origin(&map, knows_height));
+        let utc_start_s = utc_start_s(&log, clock_offset_s, options);
+        Ok((Georeference { frame, map, knows_height, utc_start_s, alignment, drift }, scale))
     }
 
     fn camera_path(&self) -> Result<CameraPath, String> {
@@ -183,9 +210,22 @@ impl Georeferencer {
     }
 }
 
-fn source(alignment: &Alignment) -> Source {
+/// A log by now.
+struct Fixes {
+    current: Current,
+    local: LocalFixes,
+    /// Epoch from which times count in which milliseconds matter, seconds of the log's clock.
+    epoch_s: f64,
+}
+
+fn source(alignment: &Alignment, name: &str, kind: Kind) -> Source {
     let (log_scale, std) = (alignment.metric_from_world.scale.ln(), alignment.log_scale_std());
-    Source { name: "telemetry".to_owned(), kind: Kind::Telemetry, log_scale, std }
+    Source { name: name.to_owned(), kind, log_scale, std }
+}
+
+fn origin(map: &LocalFrame, knows_height: bool) -> MapOrigin {
+    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
+    MapOrigin { longitude, latitude, height_m, knows_height }
 }
 
 /// Prior on the time between the clocks.
@@ -211,6 +251,27 @@ fn utc_start_s(log: &Log, log_from_video_s: f64, options: &MetricOptions) -> Opt
 }
 
 impl Georeference {
+    /// A camera that does not translate, by points of a map.
+    pub(super) fn on_map(found: OnMap) -> Self {
+        let OnMap { alignment, map, knows_height } = found;
+        let scale = source(&alignment, MAP_POINTS, Kind::Surveyed);
+        let shares = Vec::new();
+        let fused = Fused {
+            scale: scale.log_scale.exp(),
+            std: scale.std,
+            verdict: MetricVerdict::Unknown,
+            shares,
+            contradictions: Vec::new(),
+        };
+        let frame = frame_on_map(&fused, &alignment, origin(&map, knows_height));
+        Self { frame, map, knows_height, utc_start_s: None, alignment, drift: 0.0 }
+    }
+
+    /// Meters per unit by the points of a map.
+    pub(super) fn of_map_points(&self) -> Source {
+        source(&self.alignment, MAP_POINTS, Kind::Surveyed)
+    }
+
     /// A position of the maps on the ellipsoid.
     ///
     /// * `drift` – variance of the logarithm of lengths by the alignments of maps so far.
@@ -348,7 +409,7 @@ mod tests {
         fn update<'a>(&'a self, drift: f64, options: &'a MetricOptions) -> Update<'a> {
             let up_in_world = self.enu_from_world.rotation.inverse() * Vector3::z();
             let gravity = Some(Gravity { up_in_world, std: 0.02 });
-            Update { model: &self.model, frames: &self.frames, gravity, drift, sources: &[], options }
+            Update { model: &self.model, frames: &self.frames, gravity, drift, sources: &[], options, hovering: None }
         }
     }
 

@@ -179,6 +179,8 @@ pub struct MapLine {
     pub focal_std: Option<f64>,
     /// True if it is in the frame of the maps before. Otherwise it has a new local frame.
     pub is_continued: bool,
+    /// True if the camera does not translate: the map is the plane of the ground.
+    pub is_hovering: bool,
     /// Standard deviation of the logarithm of lengths by the chain of alignments.
     pub drift_std: f64,
     /// Meters per unit of the map; null where they are unknown.

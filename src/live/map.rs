@@ -14,18 +14,18 @@ use super::georeference::{self, Georeference, Georeferencer};
 use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
 use super::telemetry::TelemetryFeed;
 use super::window::{LIMITS, Snapshot, keyframes, known_points, resected, sub_table};
-use super::{LiveError, Purpose};
+use super::{LiveError, Purpose, hovering};
 use crate::camera::Camera;
 use crate::features::TrackTable;
 use crate::features::tracks::View;
 use crate::ground::{
-    BodyShape, CameraHeight, DominantPlane, GroundChain, Mount, SLOPE_STD, camera_height, dominant_plane_points,
-    find_mount,
+    BodyShape, CameraHeight, DominantPlane, GroundChain, HoveringGround, Mount, SLOPE_STD, camera_height,
+    dominant_plane_points, find_mount, hovering_ground,
 };
-use crate::mapper::{self, Intrinsics, PosePriors};
+use crate::mapper::{self, HoveringCamera, Intrinsics, PosePriors};
 use crate::math::{Rigid3, Sim3, median, umeyama};
 use crate::metric::{Fused, Gravity, Kind, Level, Measured, ObservedPoint, Source, frame_on_ground, fuse};
-use crate::pipeline::Options;
+use crate::pipeline::{OnMap, Options, Station, focal_by_map_points, on_map_points, stated_tilts};
 use crate::scene::{
     Frame, FrameId, GroundPlane, Image, MetricFrame, MetricVerdict, ObjectId, Observation, Point3d, Reconstruction,
 };
@@ -55,13 +55,17 @@ const INDEPENDENT: f64 = 20.0;
 /// Time from the first map on over which the camera's height is measured, seconds. Then the meters are held: a local
 /// frame whose unit changes as the camera climbs would be of no use.
 const HEIGHT_S: f64 = 3.0;
+/// Error of tilt and focal length that is not improved further, radians: the slope of a street is as much.
+const GOOD: f64 = 0.02;
+/// Share of the error to which it must improve to begin a new frame: every change moves all positions.
+const BETTER: f64 = 0.5;
 /// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
 const NOMINAL_HEIGHT_M: f64 = 10.0;
 
 /// Reason why a window gives no map.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum NoMap {
-    /// The camera hardly moves.
+    /// The camera hardly moves, and does not only rotate.
     #[error("camera hardly moves: {found} of {MIN_KEYS} keyframes; fly sideways or forward")]
     Keyframes {
         /// Keyframes so far.
@@ -85,6 +89,15 @@ pub(super) enum NoMap {
         /// Fewest points.
         needed: usize,
     },
+    /// The camera does not translate, and nothing shows how it looks down.
+    #[error(
+        "camera does not translate, and its inclination is unknown; give --camera-pitch, --map-points or telemetry \
+         with gimbal angles, or fly sideways or forward"
+    )]
+    Inclination,
+    /// Points of a map do not place the camera.
+    #[error("{0}")]
+    MapPoints(String),
 }
 
 /// A map, and what is derived from it.
@@ -138,6 +151,7 @@ impl WorldMap {
 pub(super) struct Ground {
     dominant: Option<DominantPlane>,
     mount: Option<Mount>,
+    hovering: Option<HoveringGround>,
 }
 
 impl Ground {
@@ -161,10 +175,52 @@ impl Ground {
             labelled: &[],
             dominant: self.dominant.as_ref(),
             mount: self.mount.as_ref(),
-            hovering: None,
+            hovering: self.hovering.as_ref(),
             shape: BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation },
         }
     }
+}
+
+/// A reconstruction of a window, in the frame of the maps.
+struct Found {
+    model: Reconstruction,
+    focal_std: Option<f64>,
+    is_continued: bool,
+}
+
+/// A camera that does not translate, in a frame of its own.
+struct Hover {
+    model: Reconstruction,
+    focal_std: f64,
+    ground: HoveringGround,
+    on_map: Option<OnMap>,
+}
+
+impl Hover {
+    /// Standard deviation of the tilt, radians, with that of the focal length as a share: both are errors of distances.
+    fn error(&self) -> f64 {
+        self.ground.tilt_std.hypot(self.focal_std)
+    }
+}
+
+/// Whether the sway of the camera is looked at, which takes time.
+#[derive(Clone, Copy)]
+enum Sway {
+    Used,
+    Ignored,
+}
+
+/// What a frame of the maps has while the camera does not translate.
+struct Hovering {
+    ground: HoveringGround,
+    /// As of [`Hover::error`].
+    error: f64,
+    /// Standard deviation of the focal length as a share before it began.
+    focal_std_before: f64,
+    /// True if the frame began with it, and has its origin at the camera.
+    is_own: bool,
+    /// By points of a map.
+    place: Option<Arc<Georeference>>,
 }
 
 /// Makes one map after the other.
@@ -174,6 +230,10 @@ pub(super) struct Mapper {
     known: Intrinsics,
     revision: u32,
     last: Option<Reconstruction>,
+    /// The dominant plane of the last map.
+    plane: Option<DominantPlane>,
+    /// Set while the camera does not translate.
+    hovering: Option<Hovering>,
     /// The vertical and origin of the local frame: those of the first map.
     level: Option<Level>,
     /// Height of the camera above the ground in the first maps of this frame, units: the mean, and of how many.
@@ -201,6 +261,8 @@ impl Mapper {
             known,
             revision: 0,
             last: None,
+            plane: None,
+            hovering: None,
             level: None,
             height: None,
             begin_s: f64::NEG_INFINITY,
@@ -216,38 +278,32 @@ impl Mapper {
     /// [`LiveError::Mapper`], which would be a bug.
     pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Result<WorldMap, NoMap>, LiveError> {
         let begin = Instant::now();
-        let keys = keyframes(snapshot);
-        let table = sub_table(&snapshot.table, &keys, MIN_TRACK);
-        let pose = |&view: &usize| snapshot.poses.get(&snapshot.frames[view].id).copied();
-        let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
-        let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
-        let mut found = self.reconstruct(&table, priors.as_ref())?;
-        if priors.is_some() && found.is_err() {
-            // The last map may be wrong: its poses would spoil all that follow.
-            found = self.reconstruct(&table, None)?;
-        }
-        let (mut model, report) = match found {
+        let Found { mut model, focal_std, is_continued } = match self.reconstruct(snapshot)? {
             Ok(found) => found,
             Err(why) => return Ok(Err(why)),
         };
         let camera = model.cameras.values().next().copied().unwrap_or(self.camera);
         let seed = self.options.seed;
-        let is_continued = self.align(&mut model);
         (self.camera, self.revision) = (camera, self.revision + 1);
-        let focal_std = report.focal_deviations.first().copied().flatten();
         if let Some(std) = focal_std {
             self.known = Intrinsics { focal: self.known.focal.min(std.max(LEAST_FOCAL_STD)), ..self.known };
         }
-        self.last = Some(model.clone());
         let (keyframes, points) = (model.images.len(), model.points.len());
         register_others(&mut model, snapshot, &camera);
-        if snapshot.purpose != Purpose::Revision {
-            model = self.with_more_points(model, snapshot, &camera)?;
-        }
-        let dominant = dominant_plane_points(&model, &self.options.ground, seed);
-        let mount = find_mount(&model, None, &self.options.ground, seed).ok();
-        let problem = dominant.as_ref().err().map(ToString::to_string);
-        let ground = Ground { dominant: dominant.ok(), mount };
+        self.last = Some(model.clone());
+        let (ground, problem) = match &self.hovering {
+            Some(hovering) => (Ground { hovering: Some(hovering.ground.clone()), ..Ground::default() }, None),
+            None => {
+                if snapshot.purpose != Purpose::Revision {
+                    model = self.with_more_points(model, snapshot, &camera)?;
+                }
+                let dominant = dominant_plane_points(&model, &self.options.ground, seed);
+                self.plane = dominant.as_ref().ok().cloned();
+                let mount = find_mount(&model, None, &self.options.ground, seed).ok();
+                let problem = dominant.as_ref().err().map(ToString::to_string);
+                (Ground { dominant: dominant.ok(), mount, hovering: None }, problem)
+            }
+        };
         let time_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s);
         if !is_continued {
             self.begin_s = time_s;
@@ -261,6 +317,7 @@ impl Mapper {
             focal_px: camera.mean_focal(),
             focal_std,
             is_continued,
+            is_hovering: self.hovering.is_some(),
             drift_std: self.drift.sqrt(),
             scale: is_metric.then_some(frame.scale),
             scale_std: is_metric.then_some(frame.std.scale),
@@ -281,15 +338,50 @@ impl Mapper {
             ground,
             frame,
             is_metric,
-            georeference: self.georeferencer.as_ref().and_then(Georeferencer::found),
+            georeference: self.georeference(),
             time_s,
             purpose: snapshot.purpose,
             line: MapLine { seconds: begin.elapsed().as_secs_f64(), ..line },
         }))
     }
 
+    /// The map of a window in the frame of the last one, if they share enough.
+    fn reconstruct(&mut self, snapshot: &Snapshot) -> Result<Result<Found, NoMap>, LiveError> {
+        let table = hovering::views(snapshot);
+        if self.hovering.is_some() && mapper::rotating_camera(&table, &self.camera).is_some() {
+            // Without enough poses it was lost, and begins anew.
+            let lost = NoMap::Points { found: 0, needed: MIN_POINTS };
+            let found = self.still_hovering(snapshot, &table);
+            return Ok(found.map_or_else(|| self.begin_hovering(snapshot, &table, lost), Ok));
+        }
+        match self.of_keyframes(snapshot)? {
+            Ok((mut model, report)) => {
+                self.hovering = None;
+                let is_continued = self.align(&mut model);
+                let focal_std = report.focal_deviations.first().copied().flatten();
+                Ok(Ok(Found { model, focal_std, is_continued }))
+            }
+            Err(why) if self.hovering.is_some() => Ok(Err(why)),
+            Err(why) => Ok(self.begin_hovering(snapshot, &table, why)),
+        }
+    }
+
     /// The keyframes by the batch mapper, or why they give no map.
-    fn reconstruct(
+    fn of_keyframes(&self, snapshot: &Snapshot) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, LiveError> {
+        let keys = keyframes(snapshot);
+        if keys.len() < MIN_KEYS {
+            return Ok(Err(NoMap::Keyframes { found: keys.len() }));
+        }
+        let table = sub_table(&snapshot.table, &keys, MIN_TRACK);
+        let pose = |&view: &usize| snapshot.poses.get(&snapshot.frames[view].id).copied();
+        let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
+        let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
+        let found = self.of_table(&table, priors.as_ref())?;
+        // The last map may be wrong: its poses would spoil all that follow.
+        if priors.is_some() && found.is_err() { self.of_table(&table, None) } else { Ok(found) }
+    }
+
+    fn of_table(
         &self,
         table: &TrackTable,
         priors: Option<&PosePriors>,
@@ -307,6 +399,92 @@ impl Mapper {
         } else {
             Ok((model, report))
         })
+    }
+
+    /// The map of a camera that goes on hovering; `None` where too few views have a pose in the last one.
+    fn still_hovering(&mut self, snapshot: &Snapshot, table: &TrackTable) -> Option<Found> {
+        let Hovering { ground, error, .. } = self.hovering.as_ref()?;
+        if snapshot.purpose != Purpose::Revision
+            && *error > GOOD
+            && let Ok(better) = self.hover(snapshot, table, Sway::Used)
+            && better.error() < BETTER * error
+        {
+            return Some(self.take_up(better));
+        }
+        let model = hovering::on_plane(table, &self.camera, &poses_of(table, snapshot), ground, self.last.as_ref());
+        let is_enough =
+            model.points.len() >= MIN_POINTS && model.images.len() as f64 >= MIN_REGISTERED * table.views.len() as f64;
+        is_enough.then_some(Found { model, focal_std: self.focal_std(), is_continued: true })
+    }
+
+    /// The map of a camera that does not translate, on the plane of the last map or in a new frame.
+    ///
+    /// * `why` – reason why it is no other.
+    fn begin_hovering(&mut self, snapshot: &Snapshot, table: &TrackTable, why: NoMap) -> Result<Found, NoMap> {
+        if let Some((plane, last)) = self.plane.as_ref().zip(self.last.as_ref())
+            && let Some(ground) = hovering::ground_of_map(plane, last)
+            && mapper::rotating_camera(table, &self.camera).is_some()
+        {
+            self.hovering =
+                Some(Hovering { ground, error: 0.0, focal_std_before: self.known.focal, is_own: false, place: None });
+            if let Some(found) = self.still_hovering(snapshot, table) {
+                return Ok(found);
+            }
+            self.hovering = None;
+        }
+        // What is known beforehand is there at once.
+        let found = self.hover(snapshot, table, Sway::Ignored).or_else(|_| self.hover(snapshot, table, Sway::Used));
+        Ok(self.take_up(found.map_err(|other| other.unwrap_or(why))?))
+    }
+
+    /// The camera as one that does not translate, in a frame of its own; without a reason where it does.
+    fn hover(&self, snapshot: &Snapshot, table: &TrackTable, sway: Sway) -> Result<Hover, Option<NoMap>> {
+        let metric = &self.options.metric;
+        // The same points of the map are no new evidence.
+        let before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
+        let of_map = mapper::rotating_camera(table, &self.camera)
+            .and_then(|found| focal_by_map_points(metric, &found.model(table, &self.camera), before));
+        let (log_focal, focal_std) = of_map.unwrap_or((0.0, before));
+        let camera = self.camera.zoomed(log_focal.exp());
+        let found = match sway {
+            Sway::Used => mapper::hovering_camera(table, &camera, focal_std),
+            Sway::Ignored => mapper::rotating_camera(table, &camera).map(|rotations| HoveringCamera {
+                rotations,
+                camera,
+                focal_std,
+                sway: None,
+            }),
+        };
+        let HoveringCamera { rotations, camera, focal_std, sway } = found.ok_or(None)?;
+        let poses = rotations.model(table, &camera);
+        let on_map = on_map_points(metric, &poses).map_err(|error| NoMap::MapPoints(error.to_string()))?;
+        let station = self.georeferencer.as_ref().and_then(|log| log.station(&poses, &snapshot.frames, metric).ok());
+        let vertical = station.as_ref().and_then(Station::vertical);
+        let tilts = stated_tilts(&poses, metric, sway.as_ref(), vertical, on_map.as_ref());
+        let ground = hovering_ground(&poses, &snapshot.vehicles, tilts).ok_or(NoMap::Inclination)?;
+        let model = hovering::on_plane(table, &camera, &rotations.poses, &ground, None);
+        let (found, needed) = (model.points.len(), MIN_POINTS);
+        if found < needed {
+            return Err(Some(NoMap::Points { found, needed }));
+        }
+        Ok(Hover { model, focal_std, ground, on_map })
+    }
+
+    /// Standard deviation of the focal length as a share; `None` where it is given.
+    fn focal_std(&self) -> Option<f64> {
+        (self.known.focal > 0.0).then_some(self.known.focal)
+    }
+
+    /// Begins the frame of a camera that does not translate.
+    fn take_up(&mut self, found: Hover) -> Found {
+        let error = found.error();
+        let Hover { model, focal_std, ground, on_map } = found;
+        self.restart();
+        let place = on_map.map(|found| Arc::new(Georeference::on_map(found)));
+        let focal_std_before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
+        self.hovering = Some(Hovering { ground, error, focal_std_before, is_own: true, place });
+        self.known.focal = focal_std;
+        Found { model, focal_std: self.focal_std(), is_continued: false }
     }
 
     /// A map with points that keyframes alone do not show, from the poses that it has: those near the camera are seen
@@ -350,11 +528,22 @@ impl Mapper {
                 true
             }
             None => {
-                (self.level, self.height, self.nominal, self.drift) = (None, None, None, 0.0);
-                self.georeferencer.iter_mut().for_each(Georeferencer::restart);
+                self.restart();
                 false
             }
         }
+    }
+
+    /// Begins a new local frame.
+    fn restart(&mut self) {
+        (self.level, self.height, self.nominal, self.drift, self.plane) = (None, None, None, 0.0, None);
+        self.georeferencer.iter_mut().for_each(Georeferencer::restart);
+    }
+
+    /// Latitude and longitude by points of a map, otherwise by telemetry.
+    fn georeference(&self) -> Option<Arc<Georeference>> {
+        let of_map = self.hovering.as_ref().and_then(|hovering| hovering.place.clone());
+        of_map.or_else(|| self.georeferencer.as_ref()?.found())
     }
 
     /// The metric frame, and whether its meters are known.
@@ -368,7 +557,10 @@ impl Mapper {
         let time_s = frames.last().map_or(0.0, |frame| frame.time_s);
         let none = Vec::new();
         let points = ground.dominant.as_ref().map_or(&none, |dominant| &dominant.point_ids);
-        let below = camera_height(model, points, &self.options.ground, self.options.seed).ok();
+        let below = match &ground.hovering {
+            Some(hovering) => Some(hovering.camera_height(model)),
+            None => camera_height(model, points, &self.options.ground, self.options.seed).ok(),
+        };
         let mount = ground.mount.as_ref().and_then(|mount| Measured::new(mount.height, mount.height_std));
         let found = mount.or_else(|| below.as_ref().and_then(|below| Measured::new(below.mean, below.std)));
         if let Some(found) = found.filter(|_| self.height.is_none() || time_s - self.begin_s <= HEIGHT_S) {
@@ -387,11 +579,15 @@ impl Mapper {
         let of_scale = metric.scale.map(|scale| surveyed("given scale", scale.log()));
         let of_height = metric.camera_height.zip(height);
         let of_height = of_height.map(|(given, units)| surveyed("camera height", given.log_ratio(&units)));
-        let mut sources: Vec<Source> = of_scale.into_iter().chain(of_height).collect();
+        let of_map =
+            self.hovering.as_ref().and_then(|hovering| hovering.place.as_ref()).map(|place| place.of_map_points());
+        let mut sources: Vec<Source> = of_scale.into_iter().chain(of_height).chain(of_map).collect();
         if let Some(georeferencer) = &mut self.georeferencer {
             let (drift, options) = (self.drift, metric);
             let gravity = below.as_ref().map(|below| Gravity { up_in_world: below.up_in_world, std: tilt_std(below) });
-            let update = georeference::Update { model, frames, gravity, drift, sources: &sources, options };
+            // Only a frame that began with the hovering camera has its origin there.
+            let hovering = self.hovering.as_ref().filter(|hovering| hovering.is_own).and(height);
+            let update = georeference::Update { model, frames, gravity, drift, sources: &sources, options, hovering };
             georeferencer.update(&update);
             sources.extend(georeferencer.scale(drift));
         }
@@ -456,6 +652,11 @@ fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64
     found.filter(|(similarity, variance)| similarity.scale.is_finite() && variance.is_finite())
 }
 
+/// Poses of the last map.
+fn poses_of(table: &TrackTable, snapshot: &Snapshot) -> Vec<Option<Rigid3>> {
+    table.views.iter().map(|view| snapshot.poses.get(&view.image.frame()).copied()).collect()
+}
+
 /// Adds the frames of the window that are no keyframes.
 fn register_others(model: &mut Reconstruction, snapshot: &Snapshot, camera: &Camera) {
     let is_open = |view: &usize| !model.images.contains_key(&snapshot.table.views[*view].image);
@@ -499,7 +700,7 @@ mod tests {
         let frames: Vec<Frame> = images.iter().map(frame).collect();
         // Every third is a keyframe, in all windows.
         let is_key = frames.iter().map(|frame| frame.id.0 % 3 == 0).collect();
-        Snapshot { table, frames, is_key, poses: BTreeMap::new(), purpose: Purpose::Final }
+        Snapshot { table, frames, is_key, poses: BTreeMap::new(), vehicles: Vec::new(), purpose: Purpose::Final }
     }
 
     fn flight() -> scene::Options {
@@ -539,5 +740,78 @@ mod tests {
         assert!(maps[2].line.drift_std > 0.0 && maps[0].line.drift_std == 0.0);
         let far = mapper.update(&snapshot(&static_scene(&scene::Options { seed: 5, ..options }), 0..3)).unwrap();
         assert!(far.is_err(), "three views are no map");
+    }
+
+    /// A window of the views of a camera over a plane, with the poses of the last map.
+    ///
+    /// * `until` – number of views.
+    fn window(table: &TrackTable, until: usize, last: Option<&WorldMap>) -> Snapshot {
+        let mut table = sub_table(table, &(0..until).collect::<Vec<_>>(), 1);
+        table.views.iter_mut().for_each(|view| view.rgb = vec![[0; 3]; view.pixels.len()]);
+        let frame = |view: &View| {
+            let id = view.image.frame();
+            Frame { id, name: view.name.clone(), time_s: 0.1 * f64::from(id.0) }
+        };
+        let frames: Vec<Frame> = table.views.iter().map(frame).collect();
+        let is_key = (0..until).map(|view| view % 3 == 0).collect();
+        let images = last.iter().flat_map(|map| &map.model.images);
+        let poses = images.map(|(id, image)| (id.frame(), image.cam_from_world)).collect();
+        Snapshot { table, frames, is_key, poses, vehicles: Vec::new(), purpose: Purpose::Revision }
+    }
+
+    /// A camera 40 m above a plane looks down by 90° minus 0.5.
+    const HEIGHT_M: f64 = 40.0;
+
+    fn mapper_of(camera: Camera, pitch_std: Option<f64>) -> Mapper {
+        let pitch = std::f64::consts::FRAC_PI_2 - 0.5;
+        let mut options = Options::default();
+        options.metric.camera_pitch = pitch_std.and_then(|std| Measured::new(pitch.to_degrees(), std));
+        Mapper::new(&options, camera, Intrinsics::FIXED, None)
+    }
+
+    fn centers_m(map: &WorldMap) -> Vec<Vector3<f64>> {
+        map.model.images.values().map(|image| image.cam_from_world.center().coords * HEIGHT_M).collect()
+    }
+
+    #[test]
+    fn the_ground_is_the_map_of_a_camera_that_hovers() {
+        let sway = |phase: f64| Vector3::new(phase.sin(), 0.0, 0.5 * phase.sin()) * 0.1;
+        let (table, camera, rotations) = crate::mapper::views_along(sway);
+        let mut mapper = mapper_of(camera, Some(0.5));
+        let first = mapper.update(&window(&table, 30, None)).unwrap().expect("a map");
+        let second = mapper.update(&window(&table, 40, Some(&first))).unwrap().expect("a map");
+        assert!(first.line.is_hovering && second.line.is_hovering);
+        assert_eq!((first.is_continued, second.is_continued), (false, true));
+        assert_eq!((first.model.images.len(), second.model.images.len()), (30, 40));
+        // Axes are those of the first camera.
+        let centers = centers_m(&second);
+        for (view, center) in centers.iter().enumerate() {
+            let (way, truth) = (center - centers[0], rotations[0] * (sway(view as f64 / 10.0) - sway(0.0)));
+            assert!((way - truth).norm() < 0.05, "{view}: {way} {truth}");
+        }
+        let up = rotations[0] * -Vector3::z();
+        assert!(second.frame.metric_from_world().rotation.inverse().transform_vector(&Vector3::z()).angle(&up) < 0.01);
+        let lost =
+            mapper_of(camera, None).update(&window(&crate::mapper::views_along(|_| Vector3::zeros()).0, 30, None));
+        assert_eq!(lost.unwrap().err(), Some(NoMap::Inclination));
+    }
+
+    #[test]
+    fn a_camera_that_flies_on_stays_in_the_frame_in_which_it_hovered() {
+        let path = |phase: f64| Vector3::new(0.0, -8.0 * (phase - 3.0).max(0.0), 0.0);
+        let (table, camera, rotations) = crate::mapper::views_along(path);
+        let mut mapper = mapper_of(camera, Some(0.5));
+        let mut last = mapper.update(&window(&table, 30, None)).unwrap().expect("a map");
+        assert!(last.line.is_hovering);
+        for until in [36, 42, 48, 54, 60] {
+            if let Ok(map) = mapper.update(&window(&table, until, Some(&last))).unwrap() {
+                assert!(map.is_continued, "{until}");
+                last = map;
+            }
+        }
+        assert!(!last.line.is_hovering);
+        let (_, image) = last.model.images.last_key_value().unwrap();
+        let (found, truth) = (image.cam_from_world.center().coords * HEIGHT_M, rotations[0] * path(5.9));
+        assert!((found - truth).norm() < 0.03 * truth.norm(), "{found} {truth}");
     }
 }

@@ -12,6 +12,7 @@
 
 mod frames;
 mod georeference;
+mod hovering;
 mod line;
 mod load;
 mod map;
@@ -65,6 +66,10 @@ const MAP_S: f64 = 1.0;
 const FINAL_EVERY_S: f64 = 3.0;
 /// Age at which a frame becomes final, seconds: at most ten after it, with those three.
 const FINAL_S: f64 = 6.5;
+/// Time after which a camera without keyframes may hover, seconds: a first map of one that moves takes as long.
+const HOVER_S: f64 = 2.0;
+/// Time between two attempts at a map at least, seconds.
+const RETRY_S: f64 = 0.5;
 /// Time without a map after which its absence is reported, seconds: a camera that moves has the first after two.
 const NO_MAP_S: f64 = 5.0;
 /// Longest wait for a frame before signals are looked at.
@@ -163,6 +168,7 @@ pub fn run(
         map: None,
         mapped_s: None,
         no_map: None,
+        asked_s: f64::NEG_INFINITY,
         final_s: f64::NEG_INFINITY,
         end: EndLine::default(),
         spent: [Duration::ZERO; 3],
@@ -217,7 +223,8 @@ struct Live<'a> {
     mapped_s: Option<f64>,
     /// Why the last window gave no map.
     no_map: Option<NoMap>,
-    /// Time of the last request of a map that makes frames final, seconds.
+    /// Time of the last request of a map, and of one that makes frames final, seconds.
+    asked_s: f64,
     final_s: f64,
     end: EndLine,
     /// Time of perception, points and positions.
@@ -279,11 +286,11 @@ impl Live<'_> {
         if time_s - since_s < NO_MAP_S {
             return Ok(());
         }
-        self.mapped_s = Some(f64::INFINITY);
         let keyframes = self.window.num_keys();
         let too_few = NoMap::Keyframes { found: keyframes };
-        let why = if keyframes < MIN_KEYS { Some(too_few) } else { self.no_map };
+        let why = self.no_map.clone().or((keyframes < MIN_KEYS).then_some(too_few));
         let Some(why) = why else { return Ok(()) };
+        self.mapped_s = Some(f64::INFINITY);
         self.send(Line::NoMap(NoMapLine { t: time_s, reason: why.to_string() }))
     }
 
@@ -291,16 +298,22 @@ impl Live<'_> {
     fn request_map(&mut self, time_s: f64) {
         let is_due = match &self.map {
             Some(map) => time_s - map.time_s >= MAP_S,
-            None => self.window.num_keys() >= MIN_KEYS,
+            // A camera that hovers gives no keyframes.
+            None => self.window.num_keys() >= MIN_KEYS || self.window.span_s() >= HOVER_S,
         };
-        if !is_due || self.mapper.is_busy {
+        if !is_due || self.mapper.is_busy || time_s - self.asked_s < RETRY_S {
             return;
         }
+        self.asked_s = time_s;
         let is_final = self.map.is_some() && !self.modeler.is_busy && time_s - self.final_s >= FINAL_EVERY_S;
         if is_final {
             self.final_s = time_s;
         }
-        self.mapper.request(self.window.snapshot(if is_final { Purpose::Final } else { Purpose::Revision }));
+        self.mapper.request(self.snapshot(if is_final { Purpose::Final } else { Purpose::Revision }));
+    }
+
+    fn snapshot(&self, purpose: Purpose) -> Snapshot {
+        self.window.snapshot(purpose, self.vehicles.images(&self.window.camera()))
     }
 
     /// Takes what the workers have finished.
@@ -328,9 +341,14 @@ impl Live<'_> {
         self.vehicles.take_map(&map, self.options);
         self.end.maps += 1;
         self.send(Line::Map(MapLine { models: self.vehicles.num_models(), ..map.line.clone() }))?;
-        if map.purpose != Purpose::Revision {
+        let until_s = match map.purpose {
+            Purpose::Revision => None,
+            Purpose::Final => Some(map.time_s - FINAL_S),
+            Purpose::Last => Some(map.time_s),
+        };
+        if let Some(until_s) = until_s {
             self.modeler.request(self.vehicles.request(&map));
-            self.leaving = Some(Leaving { map: map.clone(), positions: self.vehicles.positions() });
+            self.leaving = Some(Leaving { map: map.clone(), until_s, positions: self.vehicles.positions() });
         }
         self.map = Some(map);
         Ok(())
@@ -346,8 +364,8 @@ impl Live<'_> {
 
     /// Writes the poses and positions that are final.
     fn finalize(&mut self, models: &BTreeMap<ObjectId, Model>) -> Result<(), LiveError> {
-        let Some(Leaving { map, positions }) = self.leaving.take() else { return Ok(()) };
-        let (frames, lines) = self.vehicles.finalize(&map, &positions, models);
+        let Some(Leaving { map, until_s, positions }) = self.leaving.take() else { return Ok(()) };
+        let (frames, lines) = self.vehicles.finalize(&map, until_s, &positions, models);
         for frame in frames {
             if let Some(image) = map.model.images.get(&frame.id.into()) {
                 self.send(Line::Camera(map.camera_line(&frame, &image.cam_from_world, State::Final)))?;
@@ -371,9 +389,14 @@ impl Live<'_> {
     fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, LiveError> {
         if order() != Order::Stop {
             self.take_results(Wait::Yes)?;
-            if self.window.num_keys() >= MIN_KEYS {
-                self.mapper.request(self.window.snapshot(Purpose::Last));
+            if self.map.is_some() || self.window.num_keys() >= MIN_KEYS {
+                self.mapper.request(self.snapshot(Purpose::Last));
                 self.take_results(Wait::Yes)?;
+            }
+            // Where the last frames give no map, the one before has to do.
+            if let (Some(_), Some(map)) = (&self.no_map, self.map.clone()) {
+                self.leaving = Some(Leaving { map, until_s: self.end.t, positions: self.vehicles.positions() });
+                self.finalize(&BTreeMap::new())?;
             }
         }
         let count = self.end.frames.max(1) as f64;
@@ -386,6 +409,8 @@ impl Live<'_> {
 /// Results that become final with a map.
 struct Leaving {
     map: Arc<WorldMap>,
+    /// Time of the last frame that becomes final, seconds.
+    until_s: f64,
     /// Contact points in it.
     positions: BTreeMap<ObjectId, Positions>,
 }

@@ -6,21 +6,21 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use ::image::RgbImage;
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 use super::LiveError;
+use super::WINDOW_S;
 use super::line::{GeoPosition, LengthUnit, MotionState, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
 use super::models::{Model, Request, Subject};
 use super::perception::{Identity, Outlined};
-use super::{FINAL_S, Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::math::median;
 use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::Options;
 use crate::scene::{
-    ContactError, Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId,
+    ContactError, Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, ObjectImage,
     Reconstruction, Rect,
 };
 use crate::tracking::TrackedMask;
@@ -240,6 +240,21 @@ impl Vehicles {
         }
     }
 
+    /// Images of the vehicles that the border of the image does not cut.
+    pub(super) fn images(&self, camera: &Camera) -> Vec<BTreeMap<FrameId, ObjectImage>> {
+        let is_whole = |rect: &Rect| {
+            rect.x0 > 0.0 && rect.y0 > 0.0 && rect.x1 < f64::from(camera.width) && rect.y1 < f64::from(camera.height)
+        };
+        let image = |rect: &Rect| ObjectImage {
+            middle: Point2::new(rect.x0 + rect.x1, rect.y0 + rect.y1) * 0.5,
+            extent_px: rect.width().max(rect.height()),
+        };
+        let of_vehicle = |vehicle: &Vehicle| {
+            vehicle.rects.iter().filter(|(_, rect)| is_whole(rect)).map(|(&id, rect)| (id, image(rect))).collect()
+        };
+        self.vehicles.values().filter(|vehicle| vehicle.identity.is_some()).map(of_vehicle).collect()
+    }
+
     /// Contact points of all vehicles, in the frame of the last map.
     pub(super) fn positions(&self) -> BTreeMap<ObjectId, Positions> {
         self.vehicles.iter().map(|(&id, vehicle)| (id, vehicle.positions.clone())).collect()
@@ -252,24 +267,21 @@ impl Vehicles {
 
     /// Gives the frames that become final with a map, and their positions.
     ///
+    /// * `until_s` – time of the last of these frames, seconds.
     /// * `positions` – contact points in this map.
     /// * `models` – in this map, by provisional ids.
     pub(super) fn finalize(
         &mut self,
         map: &WorldMap,
+        until_s: f64,
         positions: &BTreeMap<ObjectId, Positions>,
         models: &BTreeMap<ObjectId, Model>,
     ) -> (Vec<Frame>, Vec<VehicleLine>) {
-        let final_until_s = match map.purpose {
-            Purpose::Revision => f64::NEG_INFINITY,
-            Purpose::Final => map.time_s - FINAL_S,
-            Purpose::Last => map.time_s,
-        };
         let begin = self.last_final;
         let leaving: Vec<Frame> = self
             .frames
             .values()
-            .filter(|frame| begin.is_none_or(|last| frame.id > last) && frame.time_s <= final_until_s)
+            .filter(|frame| begin.is_none_or(|last| frame.id > last) && frame.time_s <= until_s)
             .cloned()
             .collect();
         self.last_final = leaving.last().map(|frame| frame.id).or(begin);

@@ -12,7 +12,9 @@ use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::math::{Rigid3, median, seeded_rng};
-use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, Point3dId, Reconstruction};
+use crate::scene::{
+    CameraId, Frame, FrameId, Image, ImageId, Mask, ObjectImage, Observation, Point3dId, Reconstruction,
+};
 
 /// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
 const MAX_POINTS: usize = 700;
@@ -51,6 +53,8 @@ pub(super) struct Snapshot {
     pub(super) is_key: Vec<bool>,
     /// Poses in the frame of the last map.
     pub(super) poses: BTreeMap<FrameId, Rigid3>,
+    /// Images of the vehicles.
+    pub(super) vehicles: Vec<BTreeMap<FrameId, ObjectImage>>,
     pub(super) purpose: Purpose,
 }
 
@@ -94,10 +98,15 @@ impl Window {
         self.is_key.iter().filter(|is_key| **is_key).count()
     }
 
+    /// Time that the frames span, seconds.
+    pub(super) fn span_s(&self) -> f64 {
+        self.frames.first().zip(self.frames.last()).map_or(0.0, |(first, last)| last.time_s - first.time_s)
+    }
+
     /// The window as it is now.
-    pub(super) fn snapshot(&self, purpose: Purpose) -> Snapshot {
+    pub(super) fn snapshot(&self, purpose: Purpose, vehicles: Vec<BTreeMap<FrameId, ObjectImage>>) -> Snapshot {
         let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
-        Snapshot { table, frames, is_key, poses: self.poses.clone(), purpose }
+        Snapshot { table, frames, is_key, poses: self.poses.clone(), vehicles, purpose }
     }
 
     /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.

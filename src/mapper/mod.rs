@@ -43,8 +43,10 @@ pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
 pub use motion::ModelWeakness;
 pub use report::{Outcome, Reason, Report};
+#[cfg(test)]
+pub(crate) use rotating_camera::tests::views_along;
 pub use rotating_camera::{RotatingCamera, rotating_camera};
-pub use sway::{SwayGround, sway_ground};
+pub use sway::{HoveringCamera, SwayGround, hovering_camera};
 
 use crate::camera::Camera;
 use crate::checks::{Checked, ordered, within};

@@ -9,8 +9,9 @@
 use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
 
 use crate::camera::Camera;
-use crate::features::tracks::TrackTable;
+use crate::features::tracks::{TrackTable, View};
 use crate::math::{Rigid3, STD_PER_MAD, median};
+use crate::scene::{CameraId, Image, Reconstruction};
 
 /// Fewest points that hold a rotation: three determine it, and as many again show that they are right.
 const MIN_POINTS: usize = 12;
@@ -31,6 +32,18 @@ pub struct RotatingCamera {
     pub poses: Vec<Option<Rigid3>>,
     /// Robust standard deviation of a coordinate, pixels.
     pub error_px: f64,
+}
+
+impl RotatingCamera {
+    /// The views as a model without points.
+    pub fn model(&self, table: &TrackTable, camera: &Camera) -> Reconstruction {
+        let image = |(view, pose): (&View, &Option<Rigid3>)| {
+            let (name, observations) = (view.name.clone(), Vec::new());
+            Some((view.image, Image { name, camera: CameraId(1), cam_from_world: (*pose)?, observations }))
+        };
+        let images = table.views.iter().zip(&self.poses).filter_map(image).collect();
+        Reconstruction { cameras: [(CameraId(1), *camera)].into(), images, ..Reconstruction::default() }
+    }
 }
 
 /// Rotations of the views of one camera; `None` where rotations do not explain them.
@@ -143,7 +156,7 @@ fn nearest_rotation(m: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
 }
 
 #[cfg(test)]
-pub(in crate::mapper) mod tests {
+pub(crate) mod tests {
     use super::*;
     use crate::features::tracks::Feature;
     use crate::math::seeded_rng;
@@ -154,6 +167,13 @@ pub(in crate::mapper) mod tests {
 
     /// Sixty views of a camera 40 m above a plane, which sways by `sway_m` and pans by 10°.
     pub(in crate::mapper) fn views(sway_m: f64) -> (TrackTable, Camera, Vec<UnitQuaternion<f64>>) {
+        views_along(|phase| Vector3::new(phase.sin(), phase.cos(), 0.3 * phase.sin()) * sway_m)
+    }
+
+    /// The same of a camera with the given path.
+    ///
+    /// * `center` – by a tenth of the view's number, meters; the third axis points down.
+    pub(crate) fn views_along(center: impl Fn(f64) -> Vector3<f64>) -> (TrackTable, Camera, Vec<UnitQuaternion<f64>>) {
         let camera = Camera::with_focal(1280, 720, 1000.0);
         let mut rng = seeded_rng(5, 0);
         let points: Vec<Point3<f64>> =
@@ -165,7 +185,7 @@ pub(in crate::mapper) mod tests {
         for view in 0..60u32 {
             let phase = f64::from(view) / 10.0;
             let rotation = UnitQuaternion::from_euler_angles(0.01 * phase.sin(), 0.03 * phase, 0.0) * down;
-            let center = Vector3::new(phase.sin(), phase.cos(), 0.3 * phase.sin()) * sway_m;
+            let center = center(phase);
             rotations.push(rotation);
             for (track, point) in points.iter().enumerate() {
                 let Some(pixel) = camera.pixel_from_cam(Point3::from(rotation * (point.coords - center))) else {

@@ -14,6 +14,7 @@
 use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
+use super::rotating_camera::{RotatingCamera, rotating_camera};
 use crate::camera::{Camera, MAX_INCLINATION};
 use crate::features::tracks::TrackTable;
 use crate::math::{STD_PER_MAD, median};
@@ -36,6 +37,36 @@ impl SwayGround {
     pub fn tilt_std(&self) -> f64 {
         self.covariance.trace().sqrt()
     }
+}
+
+/// A camera that does not translate, but for its sway.
+pub struct HoveringCamera {
+    /// Its rotations.
+    pub rotations: RotatingCamera,
+    /// The camera, with the focal length by the sway.
+    pub camera: Camera,
+    /// Standard deviation of the focal length's logarithm.
+    pub focal_std: f64,
+    /// The plane below it; `None` where the sway shows none.
+    pub sway: Option<SwayGround>,
+}
+
+/// Standard deviation of a normal beyond which the adjustment is not linear, and the sway shows none, radians. With
+/// half of it the focal length of a flight at 46 m, known to 2 %, was lost, too.
+const MAX_TILT_STD: f64 = 0.3;
+
+/// The camera of views that rotations explain; `None` for others.
+///
+/// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
+pub fn hovering_camera(table: &TrackTable, camera: &Camera, focal_std: f64) -> Option<HoveringCamera> {
+    let rotations = rotating_camera(table, camera)?;
+    let by_view: Vec<_> = rotations.poses.iter().map(|pose| pose.map(|pose| pose.rotation)).collect();
+    let sway = sway_ground(table, camera, &by_view, focal_std).filter(|sway| sway.tilt_std() <= MAX_TILT_STD);
+    let Some(SwayGround { log_focal: [log_focal, focal_std], .. }) = sway else {
+        return Some(HoveringCamera { rotations, camera: *camera, focal_std, sway });
+    };
+    let camera = camera.zoomed(log_focal.exp());
+    Some(HoveringCamera { rotations: rotating_camera(table, &camera)?, camera, focal_std, sway })
 }
 
 /// Views that take part, evenly spread: neighbours show nothing new, and time grows with their square.
@@ -138,8 +169,10 @@ struct Linear {
 struct Normal {
     matrix: DMatrix<f64>,
     gradient: DVector<f64>,
-    /// By point: inverse of its block, its gradient, and its coupling with the others.
-    points: Vec<(Matrix2<f64>, Vector2<f64>, DMatrix<f64>)>,
+    /// By point: inverse of its block, and its gradient.
+    points: Vec<(Matrix2<f64>, Vector2<f64>)>,
+    /// Coupling of the others with the points, two columns each.
+    coupling: DMatrix<f64>,
 }
 
 fn tangent(unit: &Vector3<f64>) -> Matrix3x2<f64> {
@@ -262,46 +295,51 @@ impl Problem {
         COMMON + 6 * (self.rotations.len() - 1)
     }
 
-    /// Adds the derivatives of a point's observations to a row for each common or view parameter.
-    fn rows(linear: &Linear, view: usize) -> impl Iterator<Item = (usize, Vector2<f64>)> + '_ {
-        let common = (0..COMMON).map(|k| (k, linear.common.column(k).into_owned()));
-        let of_view = (0..6).map(move |k| (COMMON + 6 * view + k - 6, linear.view.column(k).into_owned()));
+    /// Derivatives by each common or view parameter.
+    fn rows(linear: &Linear, view: usize) -> impl Iterator<Item = (usize, Vector2<f64>)> + Clone {
+        let Linear { common, view: of_view, .. } = *linear;
+        let common = (0..COMMON).map(move |k| (k, common.column(k).into_owned()));
+        let of_view = (0..6).map(move |k| (COMMON + 6 * view + k - 6, of_view.column(k).into_owned()));
         common.chain(of_view.take(if view == 0 { 0 } else { 6 }))
     }
 
     fn normal(&self, state: &State, noise: f64, damping: f64) -> Normal {
         let size = self.size();
         let (mut matrix, mut gradient) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let mut coupling = DMatrix::zeros(size, 2 * self.points.len());
+        let mut weighted = coupling.clone();
         let mut points = Vec::new();
         for (point, observations) in self.points.iter().enumerate() {
             let (mut block, mut of_point) = (Matrix2::zeros(), Vector2::zeros());
-            let mut coupling = DMatrix::zeros(size, 2);
+            let mut with_others = coupling.columns_mut(2 * point, 2);
             for seen in observations {
                 let Some(linear) = self.linear(state, point, seen) else { continue };
                 block += linear.point.transpose() * linear.point * linear.weight;
                 of_point += linear.point.transpose() * linear.residual * linear.weight;
-                for (row, by) in Self::rows(&linear, seen.view) {
+                let rows = Self::rows(&linear, seen.view);
+                for (row, by) in rows.clone() {
                     gradient[row] += linear.weight * by.dot(&linear.residual);
                     let with_point = by.transpose() * linear.point * linear.weight;
-                    coupling[(row, 0)] += with_point[0];
-                    coupling[(row, 1)] += with_point[1];
-                    for (column, with) in Self::rows(&linear, seen.view) {
+                    with_others[(row, 0)] += with_point[0];
+                    with_others[(row, 1)] += with_point[1];
+                    for (column, with) in rows.clone() {
                         matrix[(row, column)] += linear.weight * by.dot(&with);
                     }
                 }
             }
             block += Matrix2::identity() * (damping * block.trace() + f64::MIN_POSITIVE);
             let inverse = block.try_inverse().unwrap_or_else(Matrix2::zeros);
-            let weighted = &coupling * inverse;
-            matrix.gemm(-1.0, &weighted, &coupling.transpose(), 1.0);
-            gradient -= &weighted * of_point;
-            points.push((inverse, of_point, coupling));
+            let of_weighted = &with_others * inverse;
+            gradient -= &of_weighted * of_point;
+            weighted.columns_mut(2 * point, 2).copy_from(&of_weighted);
+            points.push((inverse, of_point));
         }
+        matrix.gemm(-1.0, &weighted, &coupling.transpose(), 1.0);
         for (k, information) in self.priors(noise).into_iter().enumerate() {
             matrix[(k, k)] += information + damping * matrix[(k, k)];
             gradient[k] += information * self.off_prior(state, k);
         }
-        Normal { matrix, gradient, points }
+        Normal { matrix, gradient, points, coupling }
     }
 
     /// Information of the priors by parameter, in pixels.
@@ -338,9 +376,9 @@ impl Problem {
             moved.rotations[view] = UnitQuaternion::from_scaled_axis(turn) * state.rotations[view];
             moved.centers[view] += way;
         }
-        for (direction, (inverse, gradient, coupling)) in moved.directions.iter_mut().zip(&normal.points) {
-            let of_others = coupling.tr_mul(step);
-            let by = -(inverse * (gradient + Vector2::new(of_others[0], of_others[1])));
+        let of_others = normal.coupling.tr_mul(step);
+        for (point, (direction, (inverse, gradient))) in moved.directions.iter_mut().zip(&normal.points).enumerate() {
+            let by = -(inverse * (gradient + Vector2::new(of_others[2 * point], of_others[2 * point + 1])));
             *direction = turned(direction, by);
         }
         moved
@@ -393,8 +431,8 @@ impl Problem {
                     pull[row] += linear.weight * by.dot(&linear.residual);
                 }
             }
-            let (inverse, gradient, coupling) = &normal.points[point];
-            *pull -= coupling * (inverse * gradient);
+            let (inverse, gradient) = &normal.points[point];
+            *pull -= normal.coupling.columns(2 * point, 2) * (inverse * gradient);
         }
         let mut meat = DMatrix::from_diagonal(&DVector::from_vec(self.priors(noise))) * noise.powi(2);
         // As many degrees of freedom of the parts are the common parameters'.

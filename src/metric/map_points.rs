@@ -48,30 +48,83 @@ pub enum MapPointsError {
 /// Root-mean-square residual beyond which points contradict each other, in stated standard deviations.
 const MAX_DEVIATIONS: f64 = 4.0;
 
+/// Pose with the least sum of squares.
+struct Fit {
+    pose: Pose,
+    information: SMatrix<f64, 6, 6>,
+    /// Sum of squares, standard deviations.
+    squares: f64,
+    /// Residuals beyond the parameters.
+    freedom: usize,
+}
+
+impl Fit {
+    fn of(points: &[MapPoint]) -> Result<Self, MapPointsError> {
+        let mut pose = start(points)?;
+        let mut information = SMatrix::<f64, 6, 6>::zeros();
+        for _ in 0..ROUNDS {
+            let mut gradient = SVector::<f64, 6>::zeros();
+            information.fill(0.0);
+            for point in points {
+                let weight = pose.variance(point).recip();
+                let here = pose.residual(point);
+                let column = |k: usize| (pose.moved(&(SVector::ith(k, STEP))).residual(point) - here) / STEP;
+                let jacobian = SMatrix::<f64, 2, 6>::from_columns(&[0, 1, 2, 3, 4, 5].map(column));
+                gradient += jacobian.transpose() * here * weight;
+                information += jacobian.transpose() * jacobian * weight;
+            }
+            let step = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * gradient;
+            pose = pose.moved(&-step);
+        }
+        let squares = points.iter().map(|point| pose.residual(point).norm_squared() / pose.variance(point)).sum();
+        Ok(Self { pose, information, squares, freedom: 2 * points.len() - 6 })
+    }
+
+    /// By how much the points deviate more than stated.
+    fn factor(&self) -> f64 {
+        (self.squares / self.freedom as f64).sqrt()
+    }
+}
+
+/// The focal length that points of a map show: logarithm of a factor and its standard deviation; `None` where they
+/// place no camera.
+///
+/// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
+/// * `prior_std` – standard deviation of the logarithm beforehand.
+pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> Option<(f64, f64)> {
+    /// Standard deviations within which it is looked for, and steps to either side.
+    const REACH: f64 = 2.5;
+    const STEPS: i32 = 40;
+    let squares = |log_focal: f64| {
+        let fit = Fit::of(&points_at(log_focal)).ok().filter(|fit| fit.pose.center.z > 0.0);
+        fit.map_or(f64::INFINITY, |fit| fit.squares + (log_focal / prior_std).powi(2))
+    };
+    let mut step = REACH * prior_std / f64::from(STEPS);
+    let least = |values: &mut dyn Iterator<Item = f64>| {
+        values.map(|at| (squares(at), at)).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, at)| at)
+    };
+    let mut best = least(&mut (-STEPS..=STEPS).map(|k| f64::from(k) * step));
+    for _ in 0..4 {
+        let (middle, finer) = (best, step / 5.0);
+        best = least(&mut (-5..=5).map(|k| middle + f64::from(k) * finer));
+        step = finer;
+    }
+    let fit = Fit::of(&points_at(best)).ok()?;
+    // Where the sum of squares is larger by one.
+    let reach = (0.01 * prior_std).max(1e-4);
+    let curvature = (squares(best + reach) + squares(best - reach) - 2.0 * squares(best)) / (2.0 * reach.powi(2));
+    let std = curvature.recip().sqrt() * fit.factor().max(1.0);
+    (std.is_finite() && fit.factor() <= MAX_DEVIATIONS).then(|| (best, std.min(prior_std)))
+}
+
 /// Places the camera; its centre is the anchor.
 ///
 /// # Errors
 /// [`MapPointsError`].
 pub fn camera_over_map(points: &[MapPoint]) -> Result<Alignment, MapPointsError> {
-    let mut pose = start(points)?;
-    let mut information = SMatrix::<f64, 6, 6>::zeros();
-    for _ in 0..ROUNDS {
-        let mut gradient = SVector::<f64, 6>::zeros();
-        information.fill(0.0);
-        for point in points {
-            let weight = pose.variance(point).recip();
-            let here = pose.residual(point);
-            let column = |k: usize| (pose.moved(&(SVector::ith(k, STEP))).residual(point) - here) / STEP;
-            let jacobian = SMatrix::<f64, 2, 6>::from_columns(&[0, 1, 2, 3, 4, 5].map(column));
-            gradient += jacobian.transpose() * here * weight;
-            information += jacobian.transpose() * jacobian * weight;
-        }
-        let step = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * gradient;
-        pose = pose.moved(&-step);
-    }
-    let squares = |point: &MapPoint| pose.residual(point).norm_squared() / pose.variance(point);
-    let freedom = 2 * points.len() - 6;
-    let factor = (points.iter().map(squares).sum::<f64>() / freedom as f64).sqrt();
+    let fit = Fit::of(points)?;
+    let factor = fit.factor();
+    let Fit { pose, information, .. } = fit;
     let height = pose.center.z;
     if !(height > 0.0 && factor.is_finite()) {
         return Err(MapPointsError::NoCamera);
@@ -213,6 +266,27 @@ mod tests {
         let found = camera_over_map(&points).unwrap();
         assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
         assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
+    }
+
+    #[test]
+    fn points_show_the_focal_length() {
+        let mut inside = 0;
+        for seed in 0..40 {
+            let (points, ..) = points(5, 0.3, seed);
+            let axis = points.iter().map(|point| point.ray_in_world).sum::<Vector3<f64>>().normalize();
+            // As a camera sees them whose focal length is taken for a share of the true one.
+            let at = |log: f64| -> Vec<MapPoint> {
+                let ray = |u: Vector3<f64>| {
+                    let along = axis * axis.dot(&u);
+                    (along + (u - along) / (log - 0.3f64).exp()).normalize()
+                };
+                points.iter().map(|point| MapPoint { ray_in_world: ray(point.ray_in_world), ..*point }).collect()
+            };
+            let (found, std) = focal_over_map(at, 0.4).unwrap();
+            assert!(std < 0.1 && (found - 0.3).abs() < 4.0 * std, "{found} {std}");
+            inside += i32::from((found - 0.3).abs() <= std);
+        }
+        assert!((24..=36).contains(&inside), "{inside}");
     }
 
     #[test]

@@ -11,12 +11,15 @@ use super::{alignment, attitude, clock_offsets, telemetry};
 use crate::ground::{SLOPE_STD, StatedTilt, TiltKind};
 use crate::io;
 use crate::mapper::SwayGround;
-use crate::metric::{Alignment, MapPoint, Offset, Orientation, PositionFix, camera_over_map};
-use crate::pipeline::PipelineError;
+use crate::math::Sim3;
+use crate::metric::{
+    Alignment, MapPoint, Measured, Offset, Orientation, PositionFix, align, camera_over_map, focal_over_map,
+};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::scene::{FrameId, Reconstruction};
-use crate::telemetry::{Geodetic, Heights, LocalFixes, LocalFrame};
+use crate::pipeline::{MetricOptions, PipelineError};
+use crate::scene::{Frame, FrameId, Reconstruction};
+use crate::telemetry::{Fix, Geodetic, Heights, LocalFixes, LocalFrame};
 
 /// Standard deviation of a stated pitch at least, radians: half a degree, which gimbals and eyes leave.
 const LEAST_PITCH_STD: f64 = 0.009;
@@ -25,6 +28,9 @@ const PICKED_STD_PX: f64 = 1.5;
 /// Standard deviation of a position that a person picks on an aerial image or a map, metres: what providers of
 /// orthophotos state (0.2 to 0.5 m), and a pixel of it.
 const MAP_STD_M: f64 = 0.3;
+/// Standard deviation of the ground's height below a scene against the place of take-off, meters: one per cent of slope
+/// over the 200 m within which a pilot stands.
+const TAKEOFF_STD_M: f64 = 2.0;
 
 /// Inputs of the ground below a camera that does not translate.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
@@ -50,7 +56,26 @@ pub(in crate::pipeline) fn tilts(
     background: &Reconstruction,
     sway: Option<&SwayGround>,
 ) -> Result<Vec<StatedTilt>, PipelineError> {
-    let Some(first) = background.images.values().next() else { return Ok(Vec::new()) };
+    let vertical = telemetry::find(run, &mut Outcome::default()).and_then(|log| {
+        let of_gimbal = || station(run, background, &log).ok()?.vertical();
+        let frames = alignment::registered(background, run.frames().ok()?);
+        attitude::vertical(run, &frames, &log, &mut Outcome::default()).or_else(of_gimbal)
+    });
+    let metric = &run.options.metric;
+    Ok(stated_tilts(background, metric, sway, vertical, on_map_points(metric, background)?.as_ref()))
+}
+
+/// Tilts of the ground against the camera of the first image.
+///
+/// * `vertical` – unit vector up in the background's frame by a sensor, and its standard deviation, radians.
+pub fn stated_tilts(
+    background: &Reconstruction,
+    options: &MetricOptions,
+    sway: Option<&SwayGround>,
+    vertical: Option<(Vector3<f64>, f64)>,
+    on_map: Option<&OnMap>,
+) -> Vec<StatedTilt> {
+    let Some(first) = background.images.values().next() else { return Vec::new() };
     let of_up = |source: &str, up_in_world: Vector3<f64>, covariance: Matrix3<f64>| {
         let cam_from_world = first.cam_from_world.rotation.to_rotation_matrix();
         let covariance = cam_from_world * covariance * cam_from_world.transpose();
@@ -59,52 +84,42 @@ pub(in crate::pipeline) fn tilts(
     let in_all_directions = |std: f64| Matrix3::identity() * std.powi(2);
     let mut found: Vec<StatedTilt> =
         sway.iter().map(|sway| of_up("sway of the camera", sway.normal, sway.covariance)).collect();
-    if let Some(pitch) = run.options.metric.camera_pitch {
-        let std = pitch.std.to_radians().max(LEAST_PITCH_STD);
-        let angles = [pitch.value.to_radians(), 0.0];
-        found.push(StatedTilt {
-            source: "--camera-pitch".to_owned(),
-            angles,
-            std: [Some(std), None],
-            kind: TiltKind::Ground,
-        });
-    }
-    if let Some(log) = telemetry::find(run, &mut Outcome::default()) {
-        let of_gimbal = || {
-            let station = station(run, background, &log).ok()?;
-            let Orientation { metric_from_world, tilt_std, .. } = station.orientation?;
-            Some((metric_from_world.inverse() * Vector3::z(), tilt_std))
-        };
-        let frames = alignment::registered(background, run.frames()?);
-        let vertical = attitude::vertical(run, &frames, &log, &mut Outcome::default()).or_else(of_gimbal);
-        // The ground is not level.
-        found.extend(vertical.map(|(up, std)| {
-            let tilt = of_up("attitude of the camera in telemetry", up, in_all_directions(std.hypot(SLOPE_STD)));
-            StatedTilt { kind: TiltKind::Vertical, ..tilt }
-        }));
-    }
-    if let Some(map) = on_map_points(run, background)? {
-        let up = map.alignment.metric_from_world.rotation.inverse() * Vector3::z();
-        let tilt = of_up("--map-points", up, in_all_directions(map.alignment.tilt_std()));
-        found.push(StatedTilt { kind: TiltKind::Map, ..tilt });
-    }
-    Ok(found)
+    found.extend(options.camera_pitch.map(|pitch| StatedTilt {
+        source: "--camera-pitch".to_owned(),
+        angles: [pitch.value.to_radians(), 0.0],
+        std: [Some(pitch.std.to_radians().max(LEAST_PITCH_STD)), None],
+        kind: TiltKind::Ground,
+    }));
+    // The ground is not level.
+    found.extend(vertical.map(|(up, std)| {
+        let tilt = of_up("attitude of the camera in telemetry", up, in_all_directions(std.hypot(SLOPE_STD)));
+        StatedTilt { kind: TiltKind::Vertical, ..tilt }
+    }));
+    found.extend(on_map.map(|OnMap { alignment, .. }| {
+        let up = alignment.metric_from_world.rotation.inverse() * Vector3::z();
+        let tilt = of_up("--map-points", up, in_all_directions(alignment.tilt_std()));
+        StatedTilt { kind: TiltKind::Map, ..tilt }
+    }));
+    found
 }
 
 /// Position and attitude of a camera that does not translate, by a log.
-pub(in crate::pipeline) struct Station {
-    pub(in crate::pipeline) map: LocalFrame,
-    pub(in crate::pipeline) knows_height: bool,
+pub struct Station {
+    /// The map's frame.
+    pub map: LocalFrame,
+    /// True if absolute heights are known.
+    pub knows_height: bool,
     /// Metres east, north, up.
-    pub(in crate::pipeline) position_m: Point3<f64>,
-    pub(in crate::pipeline) std_m: Vector3<f64>,
+    position_m: Point3<f64>,
+    std_m: Vector3<f64>,
     /// Height above the place of take-off, metres.
-    pub(in crate::pipeline) height_m: Option<f64>,
-    pub(in crate::pipeline) orientation: Option<Orientation>,
-    pub(in crate::pipeline) epoch_s: f64,
-    pub(in crate::pipeline) offset_s: f64,
-    pub(in crate::pipeline) offset_std_s: f64,
-    pub(in crate::pipeline) num_fixes: usize,
+    height_m: Option<f64>,
+    orientation: Option<Orientation>,
+    epoch_s: f64,
+    /// The log's clock minus the video's time, from the epoch on, seconds.
+    offset_s: f64,
+    offset_std_s: f64,
+    num_fixes: usize,
 }
 
 /// The mean of the fixes in the time of the video.
@@ -112,56 +127,110 @@ pub(in crate::pipeline) struct Station {
 /// # Errors
 /// Why there is none.
 pub(in crate::pipeline) fn station(run: &Run, background: &Reconstruction, log: &Telemetry) -> Result<Station, String> {
-    /// A log of one fix per second has one within this time of any frame, seconds.
-    const MARGIN_S: f64 = 1.0;
     let frames = run.frames().map_err(|error| error.to_string())?;
-    let (LocalFixes { frame: map, knows_height, fixes, heights, times }, epoch_s) =
-        alignment::local_fixes(log, frames)?;
-    let log_s = fixes.iter().map(|fix| fix.time_s - epoch_s).fold(0.0, f64::max);
-    let offsets = clock_offsets::candidates(run, log, times, epoch_s, log_s);
-    let Some([Offset::Known { mean_s: offset_s, std_s: offset_std_s }]) = offsets.first().map(Vec::as_slice) else {
-        return Err("clock offset unknown, and a camera that does not move shows none; give --time-offset".to_owned());
-    };
-    let (first_s, last_s) = frames.first().zip(frames.last()).map_or((0.0, 0.0), |(a, b)| (a.time_s, b.time_s));
-    let in_time = |fix: &&PositionFix| {
-        let video_s = fix.time_s - epoch_s - offset_s;
-        (first_s - MARGIN_S..=last_s + MARGIN_S).contains(&video_s)
-    };
-    let used: Vec<&PositionFix> = fixes.iter().filter(in_time).collect();
-    let Some(one) = used.first() else {
-        return Err("no position within the time of the video; check --time-offset".to_owned());
-    };
-    let mean = |value: &dyn Fn(&PositionFix) -> Option<f64>| {
-        let values: Vec<f64> = used.iter().filter_map(|fix| value(fix)).collect();
-        (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
-    };
-    let up_m = mean(&|fix| fix.up_m);
-    let [east, north] = [0, 1].map(|k| mean(&|fix| Some(fix.east_north_m[k])).unwrap_or(0.0));
-    let of_images = matches!(log.origin, Origin::Photographs | Origin::ByName);
-    Ok(Station {
-        map,
-        knows_height,
-        position_m: Point3::new(east, north, up_m.unwrap_or(0.0)),
-        // The bias of a receiver lasts longer than a clip.
-        std_m: Vector3::new(one.horizontal_std_m, one.horizontal_std_m, one.vertical_std_m),
-        height_m: up_m.filter(|height| heights == Heights::Relative && *height > 0.0),
-        orientation: if of_images {
-            None
-        } else {
-            attitude::orientation(background, frames, &log.log.fixes, epoch_s + offset_s)
-        },
-        epoch_s,
-        offset_s: *offset_s,
-        offset_std_s: *offset_std_s,
-        num_fixes: used.len(),
-    })
+    let (local, epoch_s) = alignment::local_fixes(log, frames)?;
+    let log_s = local.fixes.iter().map(|fix| fix.time_s - epoch_s).fold(0.0, f64::max);
+    let offsets = clock_offsets::candidates(run, log, local.times, epoch_s, log_s);
+    let offset = offsets.first().and_then(|offsets| if let [offset] = offsets[..] { Some(offset) } else { None });
+    let of_camera = if matches!(log.origin, Origin::Photographs | Origin::ByName) { &[][..] } else { &log.log.fixes };
+    Station::new(local, epoch_s, offset.unwrap_or(Offset::Unknown), frames, background, of_camera)
+}
+
+impl Station {
+    /// The mean of the fixes in the time of the frames.
+    ///
+    /// * `epoch_s` – from which the offset counts, seconds of the log's clock.
+    /// * `angles` – fixes with the gimbal's angles.
+    ///
+    /// # Errors
+    /// Why there is none.
+    pub fn new(
+        local: LocalFixes,
+        epoch_s: f64,
+        offset: Offset,
+        frames: &[Frame],
+        background: &Reconstruction,
+        angles: &[Fix],
+    ) -> Result<Self, String> {
+        /// A log of one fix per second has one within this time of any frame, seconds.
+        const MARGIN_S: f64 = 1.0;
+        let Offset::Known { mean_s: offset_s, std_s: offset_std_s } = offset else {
+            return Err(
+                "clock offset unknown, and a camera that does not move shows none; give --time-offset".to_owned()
+            );
+        };
+        let log_from_video_s = epoch_s + offset_s;
+        let (first_s, last_s) = frames.first().zip(frames.last()).map_or((0.0, 0.0), |(a, b)| (a.time_s, b.time_s));
+        let in_time =
+            |fix: &&PositionFix| (first_s - MARGIN_S..=last_s + MARGIN_S).contains(&(fix.time_s - log_from_video_s));
+        let used: Vec<&PositionFix> = local.fixes.iter().filter(in_time).collect();
+        let Some(one) = used.first() else {
+            return Err("no position within the time of the video; check --time-offset".to_owned());
+        };
+        let mean = |value: &dyn Fn(&PositionFix) -> Option<f64>| {
+            let values: Vec<f64> = used.iter().filter_map(|fix| value(fix)).collect();
+            (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
+        };
+        let up_m = mean(&|fix| fix.up_m);
+        let [east, north] = [0, 1].map(|k| mean(&|fix| Some(fix.east_north_m[k])).unwrap_or(0.0));
+        Ok(Self {
+            position_m: Point3::new(east, north, up_m.unwrap_or(0.0)),
+            // The bias of a receiver lasts longer than a clip.
+            std_m: Vector3::new(one.horizontal_std_m, one.horizontal_std_m, one.vertical_std_m),
+            height_m: up_m.filter(|height| local.heights == Heights::Relative && *height > 0.0),
+            orientation: attitude::orientation(background, frames, angles, log_from_video_s),
+            epoch_s,
+            offset_s,
+            offset_std_s,
+            num_fixes: used.len(),
+            map: local.frame,
+            knows_height: local.knows_height,
+        })
+    }
+
+    /// The log's clock minus the video's time, seconds.
+    pub fn clock_offset_s(&self) -> f64 {
+        self.epoch_s + self.offset_s
+    }
+
+    /// Up in the background's frame by the gimbal's angles, and its standard deviation, radians.
+    pub fn vertical(&self) -> Option<(Vector3<f64>, f64)> {
+        let Orientation { metric_from_world, tilt_std, .. } = self.orientation.as_ref()?;
+        Some((metric_from_world.inverse() * Vector3::z(), *tilt_std))
+    }
+
+    /// The height above take-off as that above the ground, metres.
+    pub fn height(&self) -> Option<Measured> {
+        Measured::new(self.height_m?, self.std_m.z.hypot(TAKEOFF_STD_M))
+    }
+
+    /// The map around it, where the log has the camera's attitude.
+    pub fn alignment(&self) -> Option<Alignment> {
+        let Orientation { metric_from_world, tilt_std, heading_std } = self.orientation?;
+        // Any scale does: it is replaced by that of all sources, and nothing else depends on it.
+        let (scale, log_std) = self.height().map_or((1.0, 1.0), |height| (height.value, height.std / height.value));
+        let std = [log_std, tilt_std, tilt_std, heading_std, self.std_m.x, self.std_m.y, self.std_m.z];
+        Some(Alignment {
+            metric_from_world: Sim3::new(scale, metric_from_world, self.position_m.coords),
+            anchor_in_world: Point3::origin(),
+            covariance: align::Covariance::from_diagonal(&std.map(|std| std * std).into()),
+            offset_s: self.offset_s,
+            offset_std_s: self.offset_std_s,
+            num_fixes: self.num_fixes,
+            rejected_share: 0.0,
+            noise_factor: 1.0,
+        })
+    }
 }
 
 /// A camera over points of a map.
-pub(in crate::pipeline) struct OnMap {
-    pub(in crate::pipeline) alignment: Alignment,
-    pub(in crate::pipeline) map: LocalFrame,
-    pub(in crate::pipeline) knows_height: bool,
+pub struct OnMap {
+    /// The map from the background.
+    pub alignment: Alignment,
+    /// Its frame.
+    pub map: LocalFrame,
+    /// True if the points have heights.
+    pub knows_height: bool,
 }
 
 /// Points of a map as GeoJSON has them.
@@ -189,11 +258,19 @@ struct Properties {
     frame: Option<u32>,
 }
 
+/// Reads the points of a map that are given, so that a fault in them is found at once.
+///
+/// # Errors
+/// [`PipelineError::Options`] says what is wrong with which point.
+pub fn check_map_points(options: &MetricOptions) -> Result<(), PipelineError> {
+    options.map_points.as_deref().map_or(Ok(()), |path| read_map_points(path).map(drop))
+}
+
 /// Reads points of a map.
 ///
 /// # Errors
 /// [`PipelineError::Options`] says what is wrong with which point.
-pub(in crate::pipeline) fn read_map_points(path: &Path) -> Result<Vec<Picked>, PipelineError> {
+fn read_map_points(path: &Path) -> Result<Vec<Picked>, PipelineError> {
     let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
     let collection: Collection = io::json::read_model(path, "a GeoJSON collection of points with properties x and y")?;
     let point = |(number, Feature { geometry, properties }): (usize, Feature)| {
@@ -221,7 +298,7 @@ pub(in crate::pipeline) fn read_map_points(path: &Path) -> Result<Vec<Picked>, P
 const FEWEST_POINTS: usize = 4;
 
 /// A point of the ground that a person picked in an image and on a map.
-pub(in crate::pipeline) struct Picked {
+struct Picked {
     pixel: Point2<f64>,
     /// `None` is the first one.
     frame: Option<FrameId>,
@@ -230,54 +307,79 @@ pub(in crate::pipeline) struct Picked {
     height_m: Option<f64>,
 }
 
+/// The points that a person picked, and their map.
+struct Survey {
+    picked: Vec<Picked>,
+    origin: Geodetic,
+    knows_height: bool,
+    map: LocalFrame,
+}
+
+impl Survey {
+    fn read(path: &Path) -> Result<Self, PipelineError> {
+        let picked = read_map_points(path)?;
+        let mean = |value: &dyn Fn(&Picked) -> f64| picked.iter().map(value).sum::<f64>() / picked.len() as f64;
+        let knows_height = picked.iter().all(|point| point.height_m.is_some());
+        let origin = Geodetic {
+            longitude_deg: mean(&|point| point.longitude_deg),
+            latitude_deg: mean(&|point| point.latitude_deg),
+            height_m: if knows_height { mean(&|point| point.height_m.unwrap_or(0.0)) } else { 0.0 },
+        };
+        Ok(Self { map: LocalFrame::at(origin), picked, origin, knows_height })
+    }
+
+    /// The points as the cameras see them.
+    ///
+    /// * `log_focal` – logarithm of a factor of the focal length.
+    ///
+    /// # Errors
+    /// What is wrong with which point.
+    fn points(&self, background: &Reconstruction, log_focal: f64) -> Result<Vec<MapPoint>, String> {
+        let point = |(number, picked): (usize, &Picked)| {
+            let found = match picked.frame {
+                None => background.images.iter().next(),
+                Some(frame) => background.images.iter().find(|(id, _)| id.frame() == frame),
+            };
+            let Some((_, image)) = found else {
+                return Err(format!("point {number}: frame {} is not registered", picked.frame.map_or(0, |id| id.0)));
+            };
+            let camera = background.camera_of(image).zoomed(log_focal.exp());
+            if !camera.contains(picked.pixel) {
+                let [x, y] = [picked.pixel.x, picked.pixel.y];
+                return Err(format!("point {number}: pixel ({x}, {y}) is outside {}x{}", camera.width, camera.height));
+            }
+            let Picked { longitude_deg, latitude_deg, .. } = *picked;
+            let place =
+                self.map.from_geodetic(Geodetic { longitude_deg, latitude_deg, height_m: self.origin.height_m });
+            Ok(MapPoint {
+                ray_in_world: image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(picked.pixel),
+                ray_std: PICKED_STD_PX / camera.mean_focal(),
+                east_north_m: place.coords.xy(),
+                std_m: MAP_STD_M,
+            })
+        };
+        (1..).zip(&self.picked).map(point).collect()
+    }
+}
+
 /// The camera over the points of a map that are given; `None` without any.
 ///
 /// # Errors
 /// [`PipelineError::Options`] where they place no camera.
-pub(in crate::pipeline) fn on_map_points(
-    run: &Run,
-    background: &Reconstruction,
-) -> Result<Option<OnMap>, PipelineError> {
-    let Some(path) = &run.options.metric.map_points else { return Ok(None) };
+pub fn on_map_points(options: &MetricOptions, background: &Reconstruction) -> Result<Option<OnMap>, PipelineError> {
+    let Some(path) = &options.map_points else { return Ok(None) };
     let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
-    let picked = read_map_points(path)?;
-    let mean = |value: &dyn Fn(&Picked) -> f64| picked.iter().map(value).sum::<f64>() / picked.len() as f64;
-    let knows_height = picked.iter().all(|point| point.height_m.is_some());
-    let origin = Geodetic {
-        longitude_deg: mean(&|point| point.longitude_deg),
-        latitude_deg: mean(&|point| point.latitude_deg),
-        height_m: if knows_height { mean(&|point| point.height_m.unwrap_or(0.0)) } else { 0.0 },
-    };
-    let map = LocalFrame::at(origin);
-    let point = |(number, picked): (usize, &Picked)| {
-        let found = match picked.frame {
-            None => background.images.iter().next(),
-            Some(frame) => background.images.iter().find(|(id, _)| id.frame() == frame),
-        };
-        let Some((_, image)) = found else {
-            return Err(wrong(format!(
-                "point {number}: frame {} is not registered",
-                picked.frame.map_or(0, |id| id.0)
-            )));
-        };
-        let camera = background.camera_of(image);
-        if !camera.contains(picked.pixel) {
-            let [x, y] = [picked.pixel.x, picked.pixel.y];
-            return Err(wrong(format!(
-                "point {number}: pixel ({x}, {y}) is outside {}x{}",
-                camera.width, camera.height
-            )));
-        }
-        let Picked { longitude_deg, latitude_deg, .. } = *picked;
-        let place = map.from_geodetic(Geodetic { longitude_deg, latitude_deg, height_m: origin.height_m });
-        Ok(MapPoint {
-            ray_in_world: image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(picked.pixel),
-            ray_std: PICKED_STD_PX / camera.mean_focal(),
-            east_north_m: place.coords.xy(),
-            std_m: MAP_STD_M,
-        })
-    };
-    let points: Vec<MapPoint> = (1..).zip(&picked).map(point).collect::<Result<_, _>>()?;
+    let survey = Survey::read(path)?;
+    let points = survey.points(background, 0.0).map_err(wrong)?;
     let alignment = camera_over_map(&points).map_err(|error| wrong(error.to_string()))?;
-    Ok(Some(OnMap { alignment, map, knows_height }))
+    Ok(Some(OnMap { alignment, map: survey.map, knows_height: survey.knows_height }))
+}
+
+/// What the points of a map show of the focal length: logarithm of a factor, and its standard deviation.
+///
+/// * `focal_std` – standard deviation beforehand.
+pub fn focal_by_map_points(options: &MetricOptions, background: &Reconstruction, focal_std: f64) -> Option<(f64, f64)> {
+    let survey = Survey::read(options.map_points.as_deref()?).ok().filter(|_| focal_std > 0.0)?;
+    survey.points(background, 0.0).ok()?;
+    focal_over_map(|log_focal| survey.points(background, log_focal).unwrap_or_default(), focal_std)
 }

@@ -24,6 +24,7 @@ use crate::io::interchange::colmap;
 use crate::mapper::ModelWeakness;
 use crate::mapper::{self, PosePriors};
 use crate::pipeline::PipelineError;
+use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::given_models::{self, Target};
@@ -46,6 +47,7 @@ pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, Pipe
         "options": background.mapper,
         "seed": run.options.seed,
         "positions": position_priors::cache_key(run),
+        "map_points": run.options.metric.map_points.as_deref().map(fingerprint::of_content).transpose()?,
     });
     Ok(with_model_files(cache_key, run))
 }

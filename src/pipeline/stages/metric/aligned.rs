@@ -1,15 +1,12 @@
 //! The camera's path on the fixes of the telemetry.
 
-use nalgebra::Point3;
-
 use super::sources::{Ground, MAX_TILT};
-use crate::math::Sim3;
-use crate::metric::{self, Alignment, Gravity, Measured, Offset, Orientation, Refusal, Source, Support};
+use crate::metric::{self, Alignment, Gravity, Offset, Orientation, Refusal, Source, Support};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::alignment::{FittedLog, fit};
 use crate::pipeline::inputs::attitude::orientation;
-use crate::pipeline::inputs::hovering::{self, OnMap};
+use crate::pipeline::inputs::hovering::{self, OnMap, Station};
 use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{Frame, MapOrigin, Reconstruction, Topic};
 use crate::telemetry::{self, LocalFrame};
@@ -76,10 +73,6 @@ fn source(name: &str, kind: metric::Kind, alignment: &Alignment) -> Source {
     Source { name: name.to_owned(), kind, log_scale, std }
 }
 
-/// Standard deviation of the ground's height below a scene against the place of take-off, meters: one per cent of slope
-/// over the 200 m within which a pilot stands.
-const TAKEOFF_STD_M: f64 = 2.0;
-
 /// A camera that does not translate, by points of a map or by a log; and the height above take-off as that above
 /// ground.
 ///
@@ -92,11 +85,12 @@ pub(super) fn hovering(
     telemetry: Option<&Telemetry>,
     outcome: &mut Outcome,
 ) -> Result<(Option<Aligned>, Option<Source>), PipelineError> {
-    let of_map = hovering::on_map_points(run, background)?.map(|OnMap { alignment, map, knows_height }| {
-        describe(&alignment, outcome);
-        let source = Some(source("map points", metric::Kind::Surveyed, &alignment));
-        Aligned { alignment, map, knows_height, source, clock_offset_s: None }
-    });
+    let of_map =
+        hovering::on_map_points(&run.options.metric, background)?.map(|OnMap { alignment, map, knows_height }| {
+            describe(&alignment, outcome);
+            let source = Some(source("map points", metric::Kind::Surveyed, &alignment));
+            Aligned { alignment, map, knows_height, source, clock_offset_s: None }
+        });
     let station = telemetry.and_then(|log| match hovering::station(run, background, log) {
         Ok(station) => Some(station),
         Err(reason) => {
@@ -105,36 +99,18 @@ pub(super) fn hovering(
             None
         }
     });
-    let height = station.as_ref().and_then(|station| {
-        let above_takeoff_m = station.height_m?;
-        Measured::new(above_takeoff_m, station.std_m.z.hypot(TAKEOFF_STD_M))
-    });
+    let height = station.as_ref().and_then(Station::height);
     let of_height = height.zip(ground.height().ok()).map(|(height_m, height)| {
         let (log_scale, std) = height_m.log_ratio(&height);
         Source { name: "height above take-off".to_owned(), kind: metric::Kind::Telemetry, log_scale, std }
     });
-    let of_log = || station.and_then(|station| on_station(station, height));
-    Ok((of_map.or_else(of_log), of_height))
-}
-
-/// The map by a mean position, where the log has the camera's attitude.
-fn on_station(station: hovering::Station, height: Option<Measured>) -> Option<Aligned> {
-    let Orientation { metric_from_world, tilt_std, heading_std } = station.orientation?;
-    // Any scale does: it is replaced by that of all sources, and nothing else depends on it.
-    let (scale, log_std) = height.map_or((1.0, 1.0), |height| (height.value, height.std / height.value));
-    let std = [log_std, tilt_std, tilt_std, heading_std, station.std_m.x, station.std_m.y, station.std_m.z];
-    let alignment = Alignment {
-        metric_from_world: Sim3::new(scale, metric_from_world, station.position_m.coords),
-        anchor_in_world: Point3::origin(),
-        covariance: metric::align::Covariance::from_diagonal(&std.map(|std| std * std).into()),
-        offset_s: station.offset_s,
-        offset_std_s: station.offset_std_s,
-        num_fixes: station.num_fixes,
-        rejected_share: 0.0,
-        noise_factor: 1.0,
+    let of_log = || {
+        let station = station?;
+        let (alignment, clock_offset_s) = (station.alignment()?, Some(station.clock_offset_s()));
+        let Station { map, knows_height, .. } = station;
+        Some(Aligned { alignment, map, knows_height, source: None, clock_offset_s })
     };
-    let clock_offset_s = Some(station.epoch_s + station.offset_s);
-    Some(Aligned { alignment, map: station.map, knows_height: station.knows_height, source: None, clock_offset_s })
+    Ok((of_map.or_else(of_log), of_height))
 }
 
 /// Says where the log fits only at another time than it states.

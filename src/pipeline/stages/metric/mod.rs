@@ -60,9 +60,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// # Errors
 /// [`PipelineError::Telemetry`] names the file and the cure.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
-    if let Some(path) = &options.metric.map_points {
-        hovering::read_map_points(path)?;
-    }
+    hovering::check_map_points(&options.metric)?;
     match &options.metric.telemetry {
         TelemetryChoice::File(path) => Ok(log::telemetry_of(path, options.memory()).map(drop)?),
         TelemetryChoice::Auto | TelemetryChoice::None => Ok(()),

@@ -1,0 +1,142 @@
+//! The map of a camera that does not translate: points of the background on the plane of the ground.
+//!
+//! Such a window shows no depth. But where the plane of the ground is known (`ground::hovering`), every ray that meets
+//! it gives a point, and the points make a map like any other: frames are registered in it by resection, which includes
+//! the sway of the camera. What stands above the ground moves against the plane when the camera sways, and is left out.
+
+use std::collections::BTreeMap;
+
+use nalgebra::{Point3, Vector3};
+
+use super::window::{LIMITS, Snapshot, sub_table};
+use crate::camera::Camera;
+use crate::features::TrackTable;
+use crate::features::tracks::Feature;
+use crate::geometry::resection::{self, PixelsAndPoints};
+use crate::ground::{DominantPlane, HoveringGround};
+use crate::mapper::RotatingCamera;
+use crate::math::Rigid3;
+use crate::scene::{Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+
+/// Views that points are made of, evenly spread: neighbors show nothing new.
+const MAX_VIEWS: usize = 60;
+/// Views that must show a point.
+const MIN_TRACK: usize = 3;
+
+/// The views that a map is made of, with their tracks.
+pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
+    let count = snapshot.table.views.len();
+    let chosen: Vec<usize> = (0..count).step_by(count.div_ceil(MAX_VIEWS).max(1)).collect();
+    sub_table(&snapshot.table, &chosen, MIN_TRACK)
+}
+
+/// The plane of a map as the ground below a camera that has stopped; `None` above whose horizon the camera is.
+pub(super) fn ground_of_map(dominant: &DominantPlane, model: &Reconstruction) -> Option<HoveringGround> {
+    let image = model.images.values().next_back()?;
+    let spread = dominant.spread(model);
+    let height = dominant.normal.dot(&(image.cam_from_world.center() - dominant.point));
+    let axis = image.cam_from_world.rotation.inverse() * Vector3::z();
+    (height > spread).then(|| HoveringGround {
+        normal_in_world: dominant.normal,
+        point_in_world: dominant.point,
+        tilt_std: (spread / height).atan(),
+        num_vehicles: 0,
+        pitch: (-dominant.normal.dot(&axis)).asin(),
+        sources: Vec::new(),
+        contradictions: Vec::new(),
+    })
+}
+
+/// The map of some views on the plane of the ground. Points that the last map has stay where they are, so that maps do
+/// not drift.
+///
+/// * `poses` – by view.
+pub(super) fn on_plane(
+    table: &TrackTable,
+    camera: &Camera,
+    poses: &[Option<Rigid3>],
+    ground: &HoveringGround,
+    last: Option<&Reconstruction>,
+) -> Reconstruction {
+    let mut model = RotatingCamera { poses: poses.to_vec(), error_px: 0.0 }.model(table, camera);
+    for view in &table.views {
+        if let Some(image) = model.images.get_mut(&view.image) {
+            image.observations = view.pixels.iter().map(|&pixel| Observation { pixel, point: None }).collect();
+        }
+    }
+    let known = |feature: &Feature| {
+        let last = last?;
+        let image = last.images.get(&table.views[feature.view as usize].image)?;
+        Some(last.points.get(&image.observations.get(feature.feature as usize)?.point?)?.position)
+    };
+    let met = |feature: &Feature| {
+        let pose = (*poses.get(feature.view as usize)?)?;
+        let ray = pose.rotation.inverse() * camera.ray_from_pixel(table.pixel(*feature));
+        ground.meets(pose.center(), &ray)
+    };
+    for (id, track) in (1..).map(Point3dId).zip(&table.tracks) {
+        let Some(position) = track.iter().find_map(known).or_else(|| mean(track.iter().map_while(met))) else {
+            continue;
+        };
+        let seen = track.iter().filter(|feature| poses[feature.view as usize].is_some());
+        let track: Vec<TrackElement> = seen
+            .map(|feature| TrackElement {
+                image: table.views[feature.view as usize].image,
+                observation_idx: feature.feature,
+            })
+            .collect();
+        if track.len() < MIN_TRACK {
+            continue;
+        }
+        for TrackElement { image, observation_idx } in &track {
+            if let Some(image) = model.images.get_mut(image) {
+                image.observations[*observation_idx as usize].point = Some(id);
+            }
+        }
+        model.points.insert(id, Point3d { position, rgb: [0; 3], error_px: 0.0, track });
+    }
+    resect(&mut model, camera);
+    leave_out_what_stands_above(&mut model, camera);
+    model
+}
+
+fn mean(points: impl Iterator<Item = Point3<f64>>) -> Option<Point3<f64>> {
+    let (sum, count) = points.fold((Vector3::zeros(), 0usize), |(sum, count), point| (sum + point.coords, count + 1));
+    (count > 0).then(|| Point3::from(sum / count as f64))
+}
+
+/// Registers the images in the points, their sway included.
+fn resect(model: &mut Reconstruction, camera: &Camera) {
+    let Reconstruction { images, points, .. } = model;
+    for image in images.values_mut() {
+        let (pixels, points): (Vec<_>, Vec<_>) =
+            image.observations.iter().filter_map(|seen| Some((seen.pixel, points.get(&seen.point?)?.position))).unzip();
+        let data = PixelsAndPoints { camera, pixels: &pixels, points: &points };
+        let found = resection::refine_from(&data, &image.cam_from_world, LIMITS.max_error_px);
+        if let Some(found) = found.filter(|found| found.inliers.len() >= LIMITS.min_inliers) {
+            image.cam_from_world = found.cam_from_world;
+        }
+    }
+}
+
+/// Drops the points that do not move as the plane does.
+fn leave_out_what_stands_above(model: &mut Reconstruction, camera: &Camera) {
+    let images = &model.images;
+    let error_px = |point: &Point3d| {
+        let errors = point.track.iter().filter_map(|element| {
+            let image = images.get(&element.image)?;
+            let pixel = image.observations.get(element.observation_idx as usize)?.pixel;
+            Some((camera.pixel_from_cam(image.cam_from_world * point.position)? - pixel).norm())
+        });
+        let (sum, count) = errors.fold((0.0, 0usize), |(sum, count), error| (sum + error, count + 1));
+        if count == point.track.len() { sum / count as f64 } else { f64::INFINITY }
+    };
+    let errors: BTreeMap<Point3dId, f64> = model.points.iter().map(|(id, point)| (*id, error_px(point))).collect();
+    model.points.retain(|id, _| errors[id] <= LIMITS.max_error_px);
+    model.points.iter_mut().for_each(|(id, point)| point.error_px = errors[id]);
+    for image in model.images.values_mut() {
+        for seen in &mut image.observations {
+            seen.point = seen.point.filter(|id| model.points.contains_key(id));
+        }
+    }
+}
