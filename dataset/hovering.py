@@ -183,20 +183,25 @@ def compare_live(sequence: Path, run: Path) -> None:
     # Those that stand are no part of the truth.
     near_m = 5.0
     errors: dict[tuple[str, str], list[tuple[float, float]]] = {}
+    far: dict[tuple[str, str], int] = {}
     for line in map(json.loads, (run / "live.jsonl").read_text().splitlines()):
         if line["kind"] != "vehicle" or line["geo"] is None:
             continue
         at = from_map(line["geo"]["longitude"], line["geo"]["latitude"])
         error = min(float(np.linalg.norm(at - poses[line["frame"]][:2, 3])) for poses in truth.vehicles.values())
+        kind = (line["state"], line["method"])
         if error < near_m:
-            errors.setdefault((line["state"], line["method"]), []).append((error, line["geo"]["horizontal_std"]))
+            errors.setdefault(kind, []).append((error, line["geo"]["horizontal_std"]))
+        else:
+            far[kind] = far.get(kind, 0) + 1
     for (state, method), pairs in sorted(errors.items()):
         size, std = np.array(pairs).T
         # Of two axes 39, 86, 99 % are within 1, 2, 3 standard deviations of one.
         inside = ", ".join(f"{100 * float((size < k * std / np.sqrt(2)).mean()):.0f}" for k in (1, 2, 3))
         print(
             f"{state}, {method}: {len(size)} positions, mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, "
-            f"within 1, 2, 3 σ of an axis {inside} %, mean σ {std.mean():.2f} m"
+            f"within 1, 2, 3 σ of an axis {inside} %, mean σ {std.mean():.2f} m; "
+            f"{far.get((state, method), 0)} farther than {near_m:.0f} m from all"
         )
 
 

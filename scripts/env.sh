@@ -9,7 +9,7 @@ export PATH
 
 # A program that is built into a folder elsewhere finds neither its networks nor their runtime in this source tree.
 if [ -n "${CARGO_TARGET_DIR:-}" ]; then
-  runtime=$PWD/third_party/onnxruntime/$(uname -m)/libonnxruntime.so
+  runtime=$PWD/third_party/onnxruntime/${runs_on:-$(uname -m)}/libonnxruntime.so
   if [ -z "${TRACTRIX_MODELS:-}" ]; then export TRACTRIX_MODELS="$PWD/models"; fi
   if [ -z "${TRACTRIX_ONNXRUNTIME:-}" ] && [ -f "$runtime" ]; then export TRACTRIX_ONNXRUNTIME="$runtime"; fi
 fi

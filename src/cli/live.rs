@@ -188,7 +188,7 @@ struct Recorder {
 
 impl Recorder {
     fn copy(mut self) -> io::Result<()> {
-        // A program that receives is ended with the recording: that it failed then is no news.
+        // A receiving program is ended with the recording, which is no failure.
         let copied = self.copy_all().or_else(|error| if self.growth.is_finished() { Ok(()) } else { Err(error) });
         let synced = self.file.sync_all();
         self.growth.finish();

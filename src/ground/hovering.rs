@@ -362,16 +362,18 @@ impl HoveringGround {
         self.normal_in_world.dot(&(image.cam_from_world.center() - self.point_in_world))
     }
 
-    /// The camera's height over it: a unit, but for its sway.
+    /// The camera's height over it, which varies with its sway.
     pub fn camera_height(&self, background: &Reconstruction) -> CameraHeight {
         let num_frames = background.images.len();
         let sum: f64 = background.images.values().map(|image| self.height_of(image)).sum();
+        let mean = if num_frames > 0 { sum / num_frames as f64 } else { 1.0 };
         CameraHeight {
-            mean: if num_frames > 0 { sum / num_frames as f64 } else { 1.0 },
-            std: UNEVENNESS,
+            mean,
+            std: UNEVENNESS * mean,
             spread: 0.0,
             up_in_world: self.normal_in_world,
-            tilt_spread: self.tilt_std,
+            // Half of a spread counts as the standard deviation of the vertical.
+            tilt_spread: 2.0 * self.tilt_std,
             num_frames,
             foot_in_world: self.point_in_world,
         }
@@ -402,13 +404,13 @@ impl HoveringGround {
         let height = self.height_of(image);
         let foot = lowest_foot(background, image, pixels, (&normal, height))?;
         let point = center - normal * height;
-        let height_std = (self.tilt_std * (foot - point).norm()).hypot(UNEVENNESS);
+        let height_std = (self.tilt_std * (foot - point).norm()).hypot(UNEVENNESS * height);
         Some(GroundPlane {
             normal,
             point,
             num_points: 0,
             num_inliers: 0,
-            rms: UNEVENNESS,
+            rms: UNEVENNESS * height,
             basis: PlaneBasis::Vehicles,
             height_std,
             common_height_std: height_std,

@@ -32,6 +32,7 @@ const CONSISTENT: f64 = 3.0;
 /// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change
 /// moves all positions of the local frame.
 const BETTER: f64 = 0.5;
+/// Name of the source of scale.
 const MAP_POINTS: &str = "map points";
 
 /// A camera center in the frame of the maps.
@@ -155,6 +156,11 @@ impl Georeferencer {
         Station::new(local, epoch_s, offset, frames, model, &current.log.fixes)
     }
 
+    /// UTC at the beginning of the video, seconds after 1970; `None` where the log has none.
+    pub(super) fn utc_start_s(&self, station: &Station, options: &MetricOptions) -> Option<f64> {
+        utc_start_s(&self.feed.current().ok()?.log, station.clock_offset_s(), options)
+    }
+
     fn fixes(&self) -> Result<Fixes, String> {
         let current = self.feed.current().map_err(|error| error.to_string())?;
         let local = current.log.local_fixes().ok_or("no position with a time")?;
@@ -252,7 +258,9 @@ fn utc_start_s(log: &Log, log_from_video_s: f64, options: &MetricOptions) -> Opt
 
 impl Georeference {
     /// A camera that does not translate, by points of a map.
-    pub(super) fn on_map(found: OnMap) -> Self {
+    ///
+    /// * `utc_start_s` – UTC at the beginning of the video, seconds after 1970.
+    pub(super) fn on_map(found: OnMap, utc_start_s: Option<f64>) -> Self {
         let OnMap { alignment, map, knows_height } = found;
         let scale = source(&alignment, MAP_POINTS, Kind::Surveyed);
         let shares = Vec::new();
@@ -264,7 +272,7 @@ impl Georeference {
             contradictions: Vec::new(),
         };
         let frame = frame_on_map(&fused, &alignment, origin(&map, knows_height));
-        Self { frame, map, knows_height, utc_start_s: None, alignment, drift: 0.0 }
+        Self { frame, map, knows_height, utc_start_s, alignment, drift: 0.0 }
     }
 
     /// Meters per unit by the points of a map.

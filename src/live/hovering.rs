@@ -8,7 +8,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-use super::window::{LIMITS, Snapshot, sub_table};
+use super::WINDOW_S;
+use super::map::{DENSE_VIEWS, MIN_TRACK};
+use super::window::{LIMITS, SPARE_S, Snapshot, sub_table};
 use crate::camera::Camera;
 use crate::features::TrackTable;
 use crate::features::tracks::Feature;
@@ -16,18 +18,48 @@ use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::ground::{DominantPlane, HoveringGround};
 use crate::mapper::RotatingCamera;
 use crate::math::Rigid3;
-use crate::scene::{Observation, Point3d, Point3dId, Reconstruction, TrackElement};
-
-/// Views that points are made of, evenly spread: neighbors show nothing new.
-const MAX_VIEWS: usize = 60;
-/// Views that must show a point.
-const MIN_TRACK: usize = 3;
+use crate::scene::{FrameId, ObjectImage, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
 /// The views that a map is made of, with their tracks.
 pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
-    let count = snapshot.table.views.len();
-    let chosen: Vec<usize> = (0..count).step_by(count.div_ceil(MAX_VIEWS).max(1)).collect();
+    // The window also has old keyframes, of a flight before.
+    let since_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s) - WINDOW_S - SPARE_S;
+    let recent: Vec<usize> = (0..snapshot.frames.len()).filter(|&k| snapshot.frames[k].time_s >= since_s).collect();
+    let chosen: Vec<usize> = recent.iter().copied().step_by(recent.len().div_ceil(DENSE_VIEWS).max(1)).collect();
     sub_table(&snapshot.table, &chosen, MIN_TRACK)
+}
+
+/// Poses of all views that have a rotation: those without a pose get that of the nearest view with one, turned.
+///
+/// * `known` – by view, of the last map.
+pub(super) fn completed(known: &[Option<Rigid3>], rotations: &RotatingCamera) -> Vec<Option<Rigid3>> {
+    let posed: Vec<(usize, Rigid3, Rigid3)> = known
+        .iter()
+        .zip(&rotations.poses)
+        .enumerate()
+        .filter_map(|(view, (pose, rotation))| Some((view, (*pose)?, (*rotation)?)))
+        .collect();
+    let turned = |(view, rotation): (usize, &Option<Rigid3>)| {
+        let (_, pose, of_pose) = posed.iter().min_by_key(|(other, ..)| other.abs_diff(view))?;
+        let rotation = (*rotation)?.rotation * of_pose.rotation.inverse() * pose.rotation;
+        Some(Rigid3::new(rotation, -(rotation * pose.center().coords)))
+    };
+    let completed = rotations.poses.iter().enumerate().map(turned);
+    known.iter().copied().zip(completed).map(|(pose, turned)| pose.or(turned)).collect()
+}
+
+/// Returns true if a vehicle leaves its place: the ray to it turns by more than its extent.
+///
+/// * `poses` – rotations of the camera.
+pub(super) fn moves(seen: &BTreeMap<FrameId, ObjectImage>, poses: &Reconstruction) -> bool {
+    let ray = |(frame, seen): (&FrameId, &ObjectImage)| {
+        let image = poses.images.get(&(*frame).into())?;
+        let camera = poses.camera_of(image);
+        let ray = image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(seen.middle);
+        Some((ray, seen.extent_px / camera.mean_focal()))
+    };
+    let ends = seen.iter().find_map(ray).zip(seen.iter().rev().find_map(ray));
+    ends.is_some_and(|((first, extent), (last, _))| first.angle(&last) > extent)
 }
 
 /// The plane of a map as the ground below a camera that has stopped; `None` above whose horizon the camera is.
@@ -75,7 +107,7 @@ pub(super) fn on_plane(
         ground.meets(pose.center(), &ray)
     };
     for (id, track) in (1..).map(Point3dId).zip(&table.tracks) {
-        let Some(position) = track.iter().find_map(known).or_else(|| mean(track.iter().map_while(met))) else {
+        let Some(position) = track.iter().find_map(known).or_else(|| mean(track.iter().filter_map(met))) else {
             continue;
         };
         let seen = track.iter().filter(|feature| poses[feature.view as usize].is_some());
@@ -96,7 +128,7 @@ pub(super) fn on_plane(
         model.points.insert(id, Point3d { position, rgb: [0; 3], error_px: 0.0, track });
     }
     resect(&mut model, camera);
-    leave_out_what_stands_above(&mut model, camera);
+    remove_off_plane_points(&mut model, camera);
     model
 }
 
@@ -120,7 +152,7 @@ fn resect(model: &mut Reconstruction, camera: &Camera) {
 }
 
 /// Drops the points that do not move as the plane does.
-fn leave_out_what_stands_above(model: &mut Reconstruction, camera: &Camera) {
+fn remove_off_plane_points(model: &mut Reconstruction, camera: &Camera) {
     let images = &model.images;
     let error_px = |point: &Point3d| {
         let errors = point.track.iter().filter_map(|element| {

@@ -8,7 +8,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::Instant;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::georeference::{self, Georeference, Georeferencer};
 use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
@@ -22,10 +22,10 @@ use crate::ground::{
     BodyShape, CameraHeight, DominantPlane, GroundChain, HoveringGround, Mount, SLOPE_STD, camera_height,
     dominant_plane_points, find_mount, hovering_ground,
 };
-use crate::mapper::{self, HoveringCamera, Intrinsics, PosePriors};
+use crate::mapper::{self, HoveringCamera, Intrinsics, PosePriors, RotatingCamera};
 use crate::math::{Rigid3, Sim3, median, umeyama};
 use crate::metric::{Fused, Gravity, Kind, Level, Measured, ObservedPoint, Source, frame_on_ground, fuse};
-use crate::pipeline::{OnMap, Options, Station, focal_by_map_points, on_map_points, stated_tilts};
+use crate::pipeline::{Options, Station, focal_by_map_points, on_map_points, stated_tilts};
 use crate::scene::{
     Frame, FrameId, GroundPlane, Image, MetricFrame, MetricVerdict, ObjectId, Observation, Point3d, Reconstruction,
 };
@@ -41,10 +41,10 @@ const MIN_TRIANGULATED: f64 = 0.3;
 /// Share of its keyframes that a map must register.
 const MIN_REGISTERED: f64 = 0.7;
 /// Views that must show a point: keyframes are far apart, and of two every match is consistent.
-const MIN_TRACK: usize = 3;
+pub(super) const MIN_TRACK: usize = 3;
 /// Views from which further points are triangulated, evenly spread: twice the keyframes. All views of a full window
 /// take 0.7 s a map.
-const DENSE_VIEWS: usize = 60;
+pub(super) const DENSE_VIEWS: usize = 60;
 /// Error of image positions by poses of the last map, pixels.
 const PRIOR_PX: f64 = 4.0;
 /// Standard deviation of the focal length, as a share, below which an estimate is not trusted: windows share views,
@@ -57,6 +57,11 @@ const INDEPENDENT: f64 = 20.0;
 const HEIGHT_S: f64 = 3.0;
 /// Error of tilt and focal length that is not improved further, radians: the slope of a street is as much.
 const GOOD: f64 = 0.02;
+/// Standard deviation of the tilt of a hovering camera's ground up to which a flight keeps its vertical, radians: two
+/// slopes of roads.
+const MAX_KEPT_TILT_STD: f64 = 2.0 * SLOPE_STD;
+/// Angle by which a camera has turned away from its first view, radians: as precise as an inclination is stated.
+const TURNED: f64 = 0.0175;
 /// Share of the error to which it must improve to begin a new frame: every change moves all positions.
 const BETTER: f64 = 0.5;
 /// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
@@ -193,7 +198,7 @@ struct Hover {
     model: Reconstruction,
     focal_std: f64,
     ground: HoveringGround,
-    on_map: Option<OnMap>,
+    on_map: Option<Arc<Georeference>>,
 }
 
 impl Hover {
@@ -203,14 +208,14 @@ impl Hover {
     }
 }
 
-/// Whether the sway of the camera is looked at, which takes time.
+/// Use of the sway of the camera, whose adjustment takes time.
 #[derive(Clone, Copy)]
 enum Sway {
     Used,
     Ignored,
 }
 
-/// What a frame of the maps has while the camera does not translate.
+/// State of a local frame while the camera does not translate.
 struct Hovering {
     ground: HoveringGround,
     /// As of [`Hover::error`].
@@ -219,8 +224,25 @@ struct Hovering {
     focal_std_before: f64,
     /// True if the frame began with it, and has its origin at the camera.
     is_own: bool,
+}
+
+/// State that is held from the first map of a local frame on.
+#[derive(Default)]
+struct Held {
+    /// The vertical and origin.
+    level: Option<Level>,
+    /// Height of the camera above the ground in the first maps, units: the mean, and of how many.
+    height: Option<(Measured, f64)>,
+    /// Meters per unit where nothing gives them.
+    nominal: Option<f64>,
+    /// Variance of the logarithm of lengths by the alignments so far.
+    drift: f64,
     /// By points of a map.
-    place: Option<Arc<Georeference>>,
+    on_map: Option<Arc<Georeference>>,
+    /// The dominant plane of the last map of a camera that moved.
+    plane: Option<HoveringGround>,
+    /// Rotation of the first camera.
+    rotation: Option<UnitQuaternion<f64>>,
 }
 
 /// Makes one map after the other.
@@ -230,20 +252,15 @@ pub(super) struct Mapper {
     known: Intrinsics,
     revision: u32,
     last: Option<Reconstruction>,
-    /// The dominant plane of the last map.
-    plane: Option<DominantPlane>,
     /// Set while the camera does not translate.
     hovering: Option<Hovering>,
-    /// The vertical and origin of the local frame: those of the first map.
-    level: Option<Level>,
-    /// Height of the camera above the ground in the first maps of this frame, units: the mean, and of how many.
-    height: Option<(Measured, f64)>,
+    held: Held,
     /// Time of the first map of this frame, seconds.
     begin_s: f64,
-    /// Meters per unit where nothing gives them, held from the first map on.
-    nominal: Option<f64>,
-    /// Variance of the logarithm of lengths by the alignments so far.
-    drift: f64,
+    /// The first frame, to which `--camera-pitch` and `--map-points` refer.
+    first: Option<FrameId>,
+    /// True if the camera has turned since.
+    has_turned: bool,
     georeferencer: Option<Georeferencer>,
 }
 
@@ -261,13 +278,11 @@ impl Mapper {
             known,
             revision: 0,
             last: None,
-            plane: None,
             hovering: None,
-            level: None,
-            height: None,
+            held: Held::default(),
             begin_s: f64::NEG_INFINITY,
-            nominal: None,
-            drift: 0.0,
+            first: None,
+            has_turned: false,
             georeferencer: telemetry.map(Georeferencer::new),
         }
     }
@@ -278,6 +293,7 @@ impl Mapper {
     /// [`LiveError::Mapper`], which would be a bug.
     pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Result<WorldMap, NoMap>, LiveError> {
         let begin = Instant::now();
+        self.first = self.first.or_else(|| Some(snapshot.frames.first()?.id));
         let Found { mut model, focal_std, is_continued } = match self.reconstruct(snapshot)? {
             Ok(found) => found,
             Err(why) => return Ok(Err(why)),
@@ -291,6 +307,7 @@ impl Mapper {
         let (keyframes, points) = (model.images.len(), model.points.len());
         register_others(&mut model, snapshot, &camera);
         self.last = Some(model.clone());
+        self.note_turns(&model);
         let (ground, problem) = match &self.hovering {
             Some(hovering) => (Ground { hovering: Some(hovering.ground.clone()), ..Ground::default() }, None),
             None => {
@@ -298,7 +315,7 @@ impl Mapper {
                     model = self.with_more_points(model, snapshot, &camera)?;
                 }
                 let dominant = dominant_plane_points(&model, &self.options.ground, seed);
-                self.plane = dominant.as_ref().ok().cloned();
+                self.held.plane = dominant.as_ref().ok().and_then(|plane| hovering::ground_of_map(plane, &model));
                 let mount = find_mount(&model, None, &self.options.ground, seed).ok();
                 let problem = dominant.as_ref().err().map(ToString::to_string);
                 (Ground { dominant: dominant.ok(), mount, hovering: None }, problem)
@@ -318,7 +335,7 @@ impl Mapper {
             focal_std,
             is_continued,
             is_hovering: self.hovering.is_some(),
-            drift_std: self.drift.sqrt(),
+            drift_std: self.held.drift.sqrt(),
             scale: is_metric.then_some(frame.scale),
             scale_std: is_metric.then_some(frame.std.scale),
             models: 0,
@@ -348,15 +365,20 @@ impl Mapper {
     /// The map of a window in the frame of the last one, if they share enough.
     fn reconstruct(&mut self, snapshot: &Snapshot) -> Result<Result<Found, NoMap>, LiveError> {
         let table = hovering::views(snapshot);
-        if self.hovering.is_some() && mapper::rotating_camera(&table, &self.camera).is_some() {
-            // Without enough poses it was lost, and begins anew.
+        if self.hovering.is_some()
+            && let Some(rotations) = mapper::rotating_camera(&table, &self.camera)
+        {
             let lost = NoMap::Points { found: 0, needed: MIN_POINTS };
-            let found = self.still_hovering(snapshot, &table);
+            let found = self.still_hovering(snapshot, &table, &rotations);
             return Ok(found.map_or_else(|| self.begin_hovering(snapshot, &table, lost), Ok));
         }
         match self.of_keyframes(snapshot)? {
             Ok((mut model, report)) => {
-                self.hovering = None;
+                let was = self.hovering.take();
+                if was.is_some_and(|was| was.is_own && was.ground.tilt_std > MAX_KEPT_TILT_STD) {
+                    self.restart();
+                    self.last = None;
+                }
                 let is_continued = self.align(&mut model);
                 let focal_std = report.focal_deviations.first().copied().flatten();
                 Ok(Ok(Found { model, focal_std, is_continued }))
@@ -401,8 +423,8 @@ impl Mapper {
         })
     }
 
-    /// The map of a camera that goes on hovering; `None` where too few views have a pose in the last one.
-    fn still_hovering(&mut self, snapshot: &Snapshot, table: &TrackTable) -> Option<Found> {
+    /// The next map of a camera that does not translate; `None` where no view has a pose in the last one.
+    fn still_hovering(&mut self, snapshot: &Snapshot, table: &TrackTable, rotations: &RotatingCamera) -> Option<Found> {
         let Hovering { ground, error, .. } = self.hovering.as_ref()?;
         if snapshot.purpose != Purpose::Revision
             && *error > GOOD
@@ -411,9 +433,11 @@ impl Mapper {
         {
             return Some(self.take_up(better));
         }
-        let model = hovering::on_plane(table, &self.camera, &poses_of(table, snapshot), ground, self.last.as_ref());
-        let is_enough =
-            model.points.len() >= MIN_POINTS && model.images.len() as f64 >= MIN_REGISTERED * table.views.len() as f64;
+        let known: Vec<Option<Rigid3>> =
+            table.views.iter().map(|view| snapshot.poses.get(&view.image.frame()).copied()).collect();
+        let poses = hovering::completed(&known, rotations);
+        let model = hovering::on_plane(table, &self.camera, &poses, ground, self.last.as_ref());
+        let is_enough = known.iter().any(Option::is_some) && model.points.len() >= MIN_POINTS;
         is_enough.then_some(Found { model, focal_std: self.focal_std(), is_continued: true })
     }
 
@@ -421,29 +445,32 @@ impl Mapper {
     ///
     /// * `why` – reason why it is no other.
     fn begin_hovering(&mut self, snapshot: &Snapshot, table: &TrackTable, why: NoMap) -> Result<Found, NoMap> {
-        if let Some((plane, last)) = self.plane.as_ref().zip(self.last.as_ref())
-            && let Some(ground) = hovering::ground_of_map(plane, last)
-            && mapper::rotating_camera(table, &self.camera).is_some()
-        {
-            self.hovering =
-                Some(Hovering { ground, error: 0.0, focal_std_before: self.known.focal, is_own: false, place: None });
-            if let Some(found) = self.still_hovering(snapshot, table) {
+        let Some(rotations) = mapper::rotating_camera(table, &self.camera) else { return Err(why) };
+        if let Some(ground) = self.held.plane.clone() {
+            let focal_std_before = self.known.focal;
+            self.hovering = Some(Hovering { ground, error: 0.0, focal_std_before, is_own: false });
+            if let Some(found) = self.still_hovering(snapshot, table, &rotations) {
                 return Ok(found);
             }
             self.hovering = None;
         }
-        // What is known beforehand is there at once.
-        let found = self.hover(snapshot, table, Sway::Ignored).or_else(|_| self.hover(snapshot, table, Sway::Used));
-        Ok(self.take_up(found.map_err(|other| other.unwrap_or(why))?))
+        // Sources that are given serve at once.
+        let found = self.hover(snapshot, table, Sway::Ignored).or_else(|_| self.hover(snapshot, table, Sway::Used))?;
+        Ok(self.take_up(found))
     }
 
-    /// The camera as one that does not translate, in a frame of its own; without a reason where it does.
-    fn hover(&self, snapshot: &Snapshot, table: &TrackTable, sway: Sway) -> Result<Hover, Option<NoMap>> {
-        let metric = &self.options.metric;
+    /// The camera as one that does not translate, in a frame of its own.
+    fn hover(&self, snapshot: &Snapshot, table: &TrackTable, sway: Sway) -> Result<Hover, NoMap> {
+        let is_first = self.first == snapshot.frames.first().map(|frame| frame.id);
+        let mut metric = self.options.metric.clone();
+        if self.has_turned && !is_first {
+            // They say nothing of the views of this window.
+            (metric.camera_pitch, metric.map_points) = (None, None);
+        }
         // The same points of the map are no new evidence.
         let before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
         let of_map = mapper::rotating_camera(table, &self.camera)
-            .and_then(|found| focal_by_map_points(metric, &found.model(table, &self.camera), before));
+            .and_then(|found| focal_by_map_points(&metric, &found.model(table, &self.camera), before));
         let (log_focal, focal_std) = of_map.unwrap_or((0.0, before));
         let camera = self.camera.zoomed(log_focal.exp());
         let found = match sway {
@@ -455,19 +482,32 @@ impl Mapper {
                 sway: None,
             }),
         };
-        let HoveringCamera { rotations, camera, focal_std, sway } = found.ok_or(None)?;
+        let HoveringCamera { rotations, camera, focal_std, sway } = found.ok_or(NoMap::Inclination)?;
         let poses = rotations.model(table, &camera);
-        let on_map = on_map_points(metric, &poses).map_err(|error| NoMap::MapPoints(error.to_string()))?;
-        let station = self.georeferencer.as_ref().and_then(|log| log.station(&poses, &snapshot.frames, metric).ok());
+        let on_map = on_map_points(&metric, &poses).map_err(|error| NoMap::MapPoints(error.to_string()))?;
+        let log = self.georeferencer.as_ref();
+        let station = log.and_then(|log| log.station(&poses, &snapshot.frames, &metric).ok());
         let vertical = station.as_ref().and_then(Station::vertical);
-        let tilts = stated_tilts(&poses, metric, sway.as_ref(), vertical, on_map.as_ref());
-        let ground = hovering_ground(&poses, &snapshot.vehicles, tilts).ok_or(NoMap::Inclination)?;
+        let tilts = stated_tilts(&poses, &metric, sway.as_ref(), vertical, on_map.as_ref());
+        // Where vehicles that stand point to is unknown.
+        let vehicles: Vec<_> = snapshot.vehicles.iter().filter(|seen| hovering::moves(seen, &poses)).cloned().collect();
+        let ground = hovering_ground(&poses, &vehicles, tilts).ok_or(NoMap::Inclination)?;
         let model = hovering::on_plane(table, &camera, &rotations.poses, &ground, None);
         let (found, needed) = (model.points.len(), MIN_POINTS);
         if found < needed {
-            return Err(Some(NoMap::Points { found, needed }));
+            return Err(NoMap::Points { found, needed });
         }
+        let utc_start_s = log.zip(station).and_then(|(log, station)| log.utc_start_s(&station, &metric));
+        let on_map = on_map.map(|found| Arc::new(Georeference::on_map(found, utc_start_s)));
         Ok(Hover { model, focal_std, ground, on_map })
+    }
+
+    /// Notes whether the camera looks elsewhere than in the first frame.
+    fn note_turns(&mut self, model: &Reconstruction) {
+        let mut rotations = model.images.values().map(|image| image.cam_from_world.rotation);
+        let Some(first) = self.held.rotation.or_else(|| rotations.next()) else { return };
+        self.held.rotation = Some(first);
+        self.has_turned |= rotations.any(|rotation| rotation.angle_to(&first) > TURNED);
     }
 
     /// Standard deviation of the focal length as a share; `None` where it is given.
@@ -480,9 +520,9 @@ impl Mapper {
         let error = found.error();
         let Hover { model, focal_std, ground, on_map } = found;
         self.restart();
-        let place = on_map.map(|found| Arc::new(Georeference::on_map(found)));
+        self.held.on_map = on_map;
         let focal_std_before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
-        self.hovering = Some(Hovering { ground, error, focal_std_before, is_own: true, place });
+        self.hovering = Some(Hovering { ground, error, focal_std_before, is_own: true });
         self.known.focal = focal_std;
         Found { model, focal_std: self.focal_std(), is_continued: false }
     }
@@ -524,7 +564,7 @@ impl Mapper {
         match found {
             Some((last_from_model, variance)) => {
                 model.transform(&last_from_model);
-                self.drift += variance;
+                self.held.drift += variance;
                 true
             }
             None => {
@@ -536,14 +576,13 @@ impl Mapper {
 
     /// Begins a new local frame.
     fn restart(&mut self) {
-        (self.level, self.height, self.nominal, self.drift, self.plane) = (None, None, None, 0.0, None);
+        self.held = Held::default();
         self.georeferencer.iter_mut().for_each(Georeferencer::restart);
     }
 
     /// Latitude and longitude by points of a map, otherwise by telemetry.
     fn georeference(&self) -> Option<Arc<Georeference>> {
-        let of_map = self.hovering.as_ref().and_then(|hovering| hovering.place.clone());
-        of_map.or_else(|| self.georeferencer.as_ref()?.found())
+        self.held.on_map.clone().or_else(|| self.georeferencer.as_ref()?.found())
     }
 
     /// The metric frame, and whether its meters are known.
@@ -563,27 +602,28 @@ impl Mapper {
         };
         let mount = ground.mount.as_ref().and_then(|mount| Measured::new(mount.height, mount.height_std));
         let found = mount.or_else(|| below.as_ref().and_then(|below| Measured::new(below.mean, below.std)));
-        if let Some(found) = found.filter(|_| self.height.is_none() || time_s - self.begin_s <= HEIGHT_S) {
-            let (mean, count) = self.height.map_or((0.0, 0.0), |(mean, count)| (mean.value, count));
+        if let Some(found) = found.filter(|_| self.held.height.is_none() || time_s - self.begin_s <= HEIGHT_S) {
+            let (mean, count) = self.held.height.map_or((0.0, 0.0), |(mean, count)| (mean.value, count));
             let value = (mean * count + found.value) / (count + 1.0);
-            // Maps share their frames: their errors do not average out.
-            let mean = Measured { value, std: found.std / found.value * value };
-            self.height = Some((mean, count + 1.0));
+            // Maps share their frames: their errors do not average out. The focal length is that of these maps.
+            let mean = Measured { value, std: (found.std / found.value).hypot(focal_std) * value };
+            self.held.height = Some((mean, count + 1.0));
         }
-        let height = self.height.map(|(mean, _)| Measured { std: mean.std.hypot(focal_std * mean.value), ..mean });
+        let height = self.held.height.map(|(mean, _)| mean);
+        let drift = self.held.drift;
         let surveyed = |name: &str, (log_scale, std): (f64, f64)| {
-            let std = std.hypot(self.drift.sqrt());
+            let std = std.hypot(drift.sqrt());
             Source { name: name.to_owned(), kind: Kind::Surveyed, log_scale, std }
         };
         let metric = &self.options.metric;
         let of_scale = metric.scale.map(|scale| surveyed("given scale", scale.log()));
         let of_height = metric.camera_height.zip(height);
         let of_height = of_height.map(|(given, units)| surveyed("camera height", given.log_ratio(&units)));
-        let of_map =
-            self.hovering.as_ref().and_then(|hovering| hovering.place.as_ref()).map(|place| place.of_map_points());
+        let of_map = self.held.on_map.as_ref().map(|map| map.of_map_points());
+        let of_map = of_map.map(|source| Source { std: source.std.hypot(drift.sqrt()), ..source });
         let mut sources: Vec<Source> = of_scale.into_iter().chain(of_height).chain(of_map).collect();
         if let Some(georeferencer) = &mut self.georeferencer {
-            let (drift, options) = (self.drift, metric);
+            let options = metric;
             let gravity = below.as_ref().map(|below| Gravity { up_in_world: below.up_in_world, std: tilt_std(below) });
             // Only a frame that began with the hovering camera has its origin there.
             let hovering = self.hovering.as_ref().filter(|hovering| hovering.is_own).and(height);
@@ -591,10 +631,10 @@ impl Mapper {
             georeferencer.update(&update);
             sources.extend(georeferencer.scale(drift));
         }
-        let level = *self.level.get_or_insert_with(|| level(model, below.as_ref()));
+        let level = *self.held.level.get_or_insert_with(|| level(model, below.as_ref()));
         let known = fuse(&sources);
         let is_metric = known.is_some();
-        let nominal = *self.nominal.get_or_insert(height.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
+        let nominal = *self.held.nominal.get_or_insert(height.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
         let verdict = MetricVerdict::Unknown;
         let unit = || Fused { scale: nominal, std: 0.0, verdict, shares: Vec::new(), contradictions: Vec::new() };
         let fused = known.unwrap_or_else(unit);
@@ -652,11 +692,6 @@ fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64
     found.filter(|(similarity, variance)| similarity.scale.is_finite() && variance.is_finite())
 }
 
-/// Poses of the last map.
-fn poses_of(table: &TrackTable, snapshot: &Snapshot) -> Vec<Option<Rigid3>> {
-    table.views.iter().map(|view| snapshot.poses.get(&view.image.frame()).copied()).collect()
-}
-
 /// Adds the frames of the window that are no keyframes.
 fn register_others(model: &mut Reconstruction, snapshot: &Snapshot, camera: &Camera) {
     let is_open = |view: &usize| !model.images.contains_key(&snapshot.table.views[*view].image);
@@ -677,6 +712,8 @@ mod tests {
     use crate::features::tracks::{Feature, TrackTable, View};
     use crate::scene::{Image, ImageId, TrackElement};
     use crate::synthetic::scene::{self, CameraMotion, static_scene};
+    use crate::telemetry::{Geodetic, LocalFrame};
+    use nalgebra::Point2;
 
     /// Window of a scene: its images and tracks.
     fn snapshot(scene: &Reconstruction, views: std::ops::Range<u32>) -> Snapshot {
@@ -742,19 +779,18 @@ mod tests {
         assert!(far.is_err(), "three views are no map");
     }
 
-    /// A window of the views of a camera over a plane, with the poses of the last map.
-    ///
-    /// * `until` – number of views.
-    fn window(table: &TrackTable, until: usize, last: Option<&WorldMap>) -> Snapshot {
-        let mut table = sub_table(table, &(0..until).collect::<Vec<_>>(), 1);
+    /// A window of the views of a camera over a plane, with the poses of earlier maps.
+    fn window(table: &TrackTable, views: std::ops::Range<usize>, maps: &[&WorldMap]) -> Snapshot {
+        let count = views.len();
+        let mut table = sub_table(table, &views.collect::<Vec<_>>(), 1);
         table.views.iter_mut().for_each(|view| view.rgb = vec![[0; 3]; view.pixels.len()]);
         let frame = |view: &View| {
             let id = view.image.frame();
             Frame { id, name: view.name.clone(), time_s: 0.1 * f64::from(id.0) }
         };
         let frames: Vec<Frame> = table.views.iter().map(frame).collect();
-        let is_key = (0..until).map(|view| view % 3 == 0).collect();
-        let images = last.iter().flat_map(|map| &map.model.images);
+        let is_key = (0..count).map(|view| view % 3 == 0).collect();
+        let images = maps.iter().flat_map(|map| &map.model.images);
         let poses = images.map(|(id, image)| (id.frame(), image.cam_from_world)).collect();
         Snapshot { table, frames, is_key, poses, vehicles: Vec::new(), purpose: Purpose::Revision }
     }
@@ -778,40 +814,98 @@ mod tests {
         let sway = |phase: f64| Vector3::new(phase.sin(), 0.0, 0.5 * phase.sin()) * 0.1;
         let (table, camera, rotations) = crate::mapper::views_along(sway);
         let mut mapper = mapper_of(camera, Some(0.5));
-        let first = mapper.update(&window(&table, 30, None)).unwrap().expect("a map");
-        let second = mapper.update(&window(&table, 40, Some(&first))).unwrap().expect("a map");
+        let first = mapper.update(&window(&table, 0..30, &[])).unwrap().expect("a map");
+        let second = mapper.update(&window(&table, 0..60, &[&first])).unwrap().expect("a map");
         assert!(first.line.is_hovering && second.line.is_hovering);
         assert_eq!((first.is_continued, second.is_continued), (false, true));
-        assert_eq!((first.model.images.len(), second.model.images.len()), (30, 40));
+        assert_eq!((first.model.images.len(), second.model.images.len()), (30, 60));
         // Axes are those of the first camera.
         let centers = centers_m(&second);
-        for (view, center) in centers.iter().enumerate() {
-            let (way, truth) = (center - centers[0], rotations[0] * (sway(view as f64 / 10.0) - sway(0.0)));
-            assert!((way - truth).norm() < 0.05, "{view}: {way} {truth}");
-        }
+        let off_m = |(view, center): (usize, &Vector3<f64>)| {
+            let truth = rotations[0] * (sway(view as f64 / 10.0) - sway(0.0));
+            (center - centers[0] - truth).norm()
+        };
+        let mean_m = centers.iter().enumerate().map(off_m).sum::<f64>() / 60.0;
+        assert!(mean_m < 0.04, "{mean_m}");
         let up = rotations[0] * -Vector3::z();
         assert!(second.frame.metric_from_world().rotation.inverse().transform_vector(&Vector3::z()).angle(&up) < 0.01);
-        let lost =
-            mapper_of(camera, None).update(&window(&crate::mapper::views_along(|_| Vector3::zeros()).0, 30, None));
+        // No view of the window has a pose.
+        let new = mapper.update(&window(&table, 40..60, &[])).unwrap().expect("a map");
+        assert!(new.line.is_hovering && !new.is_continued && new.model.images.len() == 20);
+        let at_rest = crate::mapper::views_along(|_| Vector3::zeros()).0;
+        let lost = mapper_of(camera, None).update(&window(&at_rest, 0..30, &[]));
         assert_eq!(lost.unwrap().err(), Some(NoMap::Inclination));
     }
 
-    #[test]
-    fn a_camera_that_flies_on_stays_in_the_frame_in_which_it_hovered() {
-        let path = |phase: f64| Vector3::new(0.0, -8.0 * (phase - 3.0).max(0.0), 0.0);
-        let (table, camera, rotations) = crate::mapper::views_along(path);
-        let mut mapper = mapper_of(camera, Some(0.5));
-        let mut last = mapper.update(&window(&table, 30, None)).unwrap().expect("a map");
+    /// A camera that hovers for three seconds, then flies, to the side of its view.
+    fn departure(phase: f64) -> Vector3<f64> {
+        Vector3::new(0.0, -8.0 * (phase - 3.0).max(0.0), 0.0)
+    }
+
+    /// The last map of a camera that departs.
+    fn departed(mapper: &mut Mapper, table: &TrackTable) -> WorldMap {
+        let mut last = mapper.update(&window(table, 0..30, &[])).unwrap().expect("a map");
         assert!(last.line.is_hovering);
         for until in [36, 42, 48, 54, 60] {
-            if let Ok(map) = mapper.update(&window(&table, until, Some(&last))).unwrap() {
+            if let Ok(map) = mapper.update(&window(table, 0..until, &[&last])).unwrap() {
                 assert!(map.is_continued, "{until}");
                 last = map;
             }
         }
         assert!(!last.line.is_hovering);
+        last
+    }
+
+    #[test]
+    fn a_camera_that_departs_stays_in_its_local_frame() {
+        let (table, camera, rotations) = crate::mapper::views_along(departure);
+        let last = departed(&mut mapper_of(camera, Some(0.5)), &table);
         let (_, image) = last.model.images.last_key_value().unwrap();
-        let (found, truth) = (image.cam_from_world.center().coords * HEIGHT_M, rotations[0] * path(5.9));
+        let (found, truth) = (image.cam_from_world.center().coords * HEIGHT_M, rotations[0] * departure(5.9));
         assert!((found - truth).norm() < 0.03 * truth.norm(), "{found} {truth}");
+    }
+
+    #[test]
+    fn points_of_a_map_hold_when_the_camera_departs() {
+        let (table, camera, rotations) = crate::mapper::views_along(departure);
+        let map = LocalFrame::at(Geodetic { longitude_deg: 9.0, latitude_deg: 48.0, height_m: 0.0 });
+        let picked = [[200.0, 200.0], [1100.0, 180.0], [1000.0, 600.0], [250.0, 650.0], [600.0, 400.0]];
+        let features = picked.map(|[x, y]| {
+            let ray = rotations[0].inverse() * camera.ray_from_pixel(Point2::new(x, y));
+            // Axes of the scene point right, back and down.
+            let place = map.to_geodetic(Point3::new(ray.x, -ray.y, 0.0) * (HEIGHT_M / ray.z));
+            serde_json::json!({
+                "type": "Feature",
+                "geometry": { "type": "Point", "coordinates": [place.longitude_deg, place.latitude_deg] },
+                "properties": { "x": x, "y": y },
+            })
+        });
+        let file = tempfile::NamedTempFile::new().unwrap();
+        let content = serde_json::json!({ "type": "FeatureCollection", "features": features });
+        std::fs::write(file.path(), content.to_string()).unwrap();
+        let mut mapper = mapper_of(camera, None);
+        mapper.options.metric.map_points = Some(file.path().to_owned());
+        let last = departed(&mut mapper, &table);
+        assert!(last.is_metric && (last.frame.scale / HEIGHT_M).ln().abs() < 0.05, "{}", last.frame.scale);
+        let center = last.model.images.last_key_value().unwrap().1.cam_from_world.center();
+        let geo = last.geo(&georeference::camera(center)).expect("a position on the map");
+        let (longitude_deg, latitude_deg) = (geo.longitude, geo.latitude);
+        let found = map.from_geodetic(Geodetic { longitude_deg, latitude_deg, height_m: 0.0 });
+        let (truth, off_m) = (departure(5.9), 3.0 * geo.horizontal_std);
+        assert!((found.x - truth.x).hypot(found.y + truth.y) < off_m && off_m < 5.0, "{found} {truth} {off_m}");
+    }
+
+    #[test]
+    fn a_camera_that_stops_stays_in_its_local_frame() {
+        let path = |phase: f64| Vector3::new(0.0, 8.0 * (3.0 - phase).max(0.0), 0.0);
+        let (table, camera, rotations) = crate::mapper::views_along(path);
+        let mut mapper = mapper_of(camera, None);
+        let first = mapper.update(&window(&table, 0..40, &[])).unwrap().expect("a map");
+        assert!(!first.line.is_hovering);
+        let second = mapper.update(&window(&table, 31..60, &[&first])).unwrap().expect("a map");
+        assert!(second.line.is_hovering && second.is_continued && second.model.images.len() == 29);
+        let up = rotations[0] * -Vector3::z();
+        let found = second.frame.metric_from_world().rotation.inverse().transform_vector(&Vector3::z());
+        assert!(found.angle(&up) < 0.02, "{}", found.angle(&up));
     }
 }

@@ -68,8 +68,9 @@ const FINAL_EVERY_S: f64 = 3.0;
 const FINAL_S: f64 = 6.5;
 /// Time after which a camera without keyframes may hover, seconds: a first map of one that moves takes as long.
 const HOVER_S: f64 = 2.0;
-/// Time between two attempts at a map at least, seconds.
+/// Time between two attempts at a map at least, seconds, and at one of a camera without keyframes, which takes longer.
 const RETRY_S: f64 = 0.5;
+const HOVER_RETRY_S: f64 = 2.0;
 /// Time without a map after which its absence is reported, seconds: a camera that moves has the first after two.
 const NO_MAP_S: f64 = 5.0;
 /// Longest wait for a frame before signals are looked at.
@@ -301,7 +302,9 @@ impl Live<'_> {
             // A camera that hovers gives no keyframes.
             None => self.window.num_keys() >= MIN_KEYS || self.window.span_s() >= HOVER_S,
         };
-        if !is_due || self.mapper.is_busy || time_s - self.asked_s < RETRY_S {
+        let retry_s = if self.window.num_keys() < MIN_KEYS { HOVER_RETRY_S } else { RETRY_S };
+        let wait_s = if self.map.is_some() { 0.0 } else { retry_s };
+        if !is_due || self.mapper.is_busy || time_s - self.asked_s < wait_s {
             return;
         }
         self.asked_s = time_s;
@@ -393,7 +396,7 @@ impl Live<'_> {
                 self.mapper.request(self.snapshot(Purpose::Last));
                 self.take_results(Wait::Yes)?;
             }
-            // Where the last frames give no map, the one before has to do.
+            // Where the last frames give no map, the one before serves.
             if let (Some(_), Some(map)) = (&self.no_map, self.map.clone()) {
                 self.leaving = Some(Leaving { map, until_s: self.end.t, positions: self.vehicles.positions() });
                 self.finalize(&BTreeMap::new())?;

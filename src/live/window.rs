@@ -30,7 +30,7 @@ const KEY_SHIFT: f64 = 12.0 / 1280.0;
 /// Share of its points that the last keyframe may lose before there is another one.
 const KEY_SHARED: f64 = 0.5;
 /// Time beyond the window for which views are kept, seconds: a map under way may still make them final.
-const SPARE_S: f64 = 4.0;
+pub(super) const SPARE_S: f64 = 4.0;
 /// Views beyond the kept ones at which they are dropped. Re-detection forgets its keyframes then.
 const SPARE_VIEWS: usize = 40;
 /// Limits of a pose: those of the mapper for the background.

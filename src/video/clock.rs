@@ -10,7 +10,7 @@ pub(super) struct Clock {
     /// The last few intervals that the container stated, seconds.
     recent_s: VecDeque<f64>,
     last_s: Option<f64>,
-    /// What the container said of the last frame.
+    /// The container's stamp of the last frame.
     stated_s: Option<f64>,
     num_rebuilt: u32,
     num_trailing: u32,

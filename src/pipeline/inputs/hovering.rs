@@ -160,7 +160,9 @@ impl Station {
             );
         };
         let log_from_video_s = epoch_s + offset_s;
-        let (first_s, last_s) = frames.first().zip(frames.last()).map_or((0.0, 0.0), |(a, b)| (a.time_s, b.time_s));
+        let mut registered = frames.iter().filter(|frame| background.images.contains_key(&frame.id.into()));
+        let (first, last) = (registered.next(), registered.next_back());
+        let (first_s, last_s) = first.map_or((0.0, 0.0), |first| (first.time_s, last.unwrap_or(first).time_s));
         let in_time =
             |fix: &&PositionFix| (first_s - MARGIN_S..=last_s + MARGIN_S).contains(&(fix.time_s - log_from_video_s));
         let used: Vec<&PositionFix> = local.fixes.iter().filter(in_time).collect();
@@ -375,7 +377,7 @@ pub fn on_map_points(options: &MetricOptions, background: &Reconstruction) -> Re
     Ok(Some(OnMap { alignment, map: survey.map, knows_height: survey.knows_height }))
 }
 
-/// What the points of a map show of the focal length: logarithm of a factor, and its standard deviation.
+/// The focal length by the points of a map: logarithm of a factor, and its standard deviation.
 ///
 /// * `focal_std` – standard deviation beforehand.
 pub fn focal_by_map_points(options: &MetricOptions, background: &Reconstruction, focal_std: f64) -> Option<(f64, f64)> {
