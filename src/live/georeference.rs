@@ -367,6 +367,7 @@ mod tests {
     use super::*;
     use crate::math::{Sim3, seeded_rng};
     use crate::metric::Kind;
+    use crate::scene::{CameraId, Image};
     use crate::synthetic::scene::{self, CameraMotion, static_scene};
     use crate::telemetry::Geodetic;
 
@@ -450,6 +451,42 @@ mod tests {
         let scale = georeferencer.scale(0.0).unwrap();
         assert!((scale.log_scale - 10f64.ln()).abs() < 3.0 * scale.std && scale.std < 0.05, "{scale:?}");
         assert_eq!((scale.kind, georeferencer.scale(0.01).unwrap().std > 0.1), (Kind::Telemetry, true));
+    }
+
+    #[test]
+    fn a_camera_that_hovers_has_the_map_of_its_gimbal() {
+        // 50 m above take-off, to the east, 40° down.
+        let feed = Arc::new(TelemetryFeed::new(Path::new("recording.SRT")));
+        let mut model = Reconstruction::default();
+        let mut frames = Vec::new();
+        for frame in 0..20u32 {
+            let (from, to) = (f64::from(frame) / 10.0, f64::from(frame + 1) / 10.0);
+            let times = format!("00:00:{from:06.3} --> 00:00:{to:06.3}").replace('.', ",");
+            let place = "[latitude: 47.300000] [longitude: 8.500000] [rel_alt: 50.000 abs_alt: 450.000]";
+            let gimbal = "[gb_yaw: 90.0 gb_pitch: -40.0 gb_roll: 0.0]";
+            let text =
+                format!("{}\n{times}\nFrameCnt: {}, DiffTime: 100ms\n{place} {gimbal}\n\n", frame + 1, frame + 1);
+            feed.push(text.as_bytes(), false);
+            let name = format!("{frame}.jpg");
+            let cam_from_world = crate::math::Rigid3::identity();
+            let image = Image { name: name.clone(), camera: CameraId(1), cam_from_world, observations: Vec::new() };
+            model.images.insert(FrameId(frame).into(), image);
+            frames.push(Frame { id: FrameId(frame), name, time_s: from });
+        }
+        let (options, hovering) = (MetricOptions::default(), Measured::new(1.0, 0.01));
+        let mut georeferencer = Georeferencer::new(feed);
+        let (model, frames, sources, options) = (&model, &frames[..], &[][..], &options);
+        georeferencer.update(&Update { model, frames, gravity: None, drift: 0.0, sources, options, hovering });
+        assert_eq!(georeferencer.problem(), None);
+        let pitch = 40f64.to_radians();
+        let observed = ObservedPoint { point: point![0.0, 0.0, 1.0 / pitch.sin()], ..camera(Point3::origin()) };
+        let position = georeferencer.found().unwrap().position(&observed, 0.0);
+        let map = LocalFrame::at(Geodetic { longitude_deg: 8.5, latitude_deg: 47.3, height_m: 0.0 });
+        let (longitude_deg, latitude_deg) = (position.longitude, position.latitude);
+        let found = map.from_geodetic(Geodetic { longitude_deg, latitude_deg, height_m: 0.0 });
+        assert!((found.x - 50.0 / pitch.tan()).abs() < 0.1 && found.y.abs() < 0.1, "{found}");
+        let scale = georeferencer.scale(0.0).unwrap();
+        assert!((scale.log_scale - 50f64.ln()).abs() < 1e-6 && (0.03..0.1).contains(&scale.std), "{scale:?}");
     }
 
     #[test]

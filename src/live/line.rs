@@ -123,7 +123,8 @@ pub struct VehicleLine {
     pub position: Option<[f64; 3]>,
     /// Covariance of the position: xx, xy, xz, yy, yz, zz. Null with it.
     pub covariance: Option<[f64; 6]>,
-    /// Georeferenced position; null without telemetry, and before the camera has moved far enough.
+    /// Georeferenced position; null without telemetry or points of a map, and before a camera that flies has moved far
+    /// enough.
     pub geo: Option<Box<GeoPosition>>,
     /// Why there is no position.
     pub reason: Option<NoContact>,

@@ -3,7 +3,8 @@
 //! With the camera's centre C, east, north and up of a place, and its rotation R (axes of the map from those of the
 //! background), the ray u of a point X of the ground is Rᵀ (X − C) / |X − C|. A homography starts; Gauss–Newton over
 //! turns of R and C ends it. The unit of such a background is the camera's height, so that C has the metres per unit,
-//! too. What the points deviate more than stated widens the covariance.
+//! too. What the points deviate more than stated widens the covariance. A focal length that is known loosely is the one
+//! of the least sum of squares, with the curvature there as its information.
 
 use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 

@@ -25,7 +25,10 @@ const FFMPEG: &str = "ffmpeg";
 const ANALYSIS_US: &str = "500000";
 /// RTP has no decoding times, without which ffmpeg writes no frames out of order; it leaves out the first time as well.
 /// Decoding precedes presentation by a second, as much as frames are out of order at most.
-const DECODING_TIMES: &str = r"setts=pts=if(eq(PTS\,NOPTS)\,DTS-0.5/TB\,PTS):dts=if(eq(PREV_OUTDTS\,NOPTS)\,DTS-1/TB\,max(PREV_OUTDTS+1\,PTS-1/TB))";
+const DECODING_TIMES: &str = concat!(
+    r"setts=pts=if(eq(PTS\,NOPTS)\,DTS-0.5/TB\,PTS)",
+    r":dts=if(eq(PREV_OUTDTS\,NOPTS)\,DTS-1/TB\,max(PREV_OUTDTS+1\,PTS-1/TB))",
+);
 /// Time after which a stream that sends nothing has ended, microseconds. A running RTSP stream gets it twice.
 const SILENCE_US: &str = "10000000";
 /// Time that the program gets to end by itself.
