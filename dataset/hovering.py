@@ -4,6 +4,7 @@
 ``inputs`` writes a log of a drone (video.SRT) and points of a map (points.geojson) of a sequence, with errors of their
 kind by a seed. ``compare`` states the errors of a run's positions, and of those of a homography from the image to four
 and more points of the map with frames registered to the first one, at the middles of the same masks (geo-trax's way).
+``recall`` states in how many frames a run has masks of the driven vehicles.
 """
 
 from __future__ import annotations
@@ -215,6 +216,40 @@ def compare_live(sequence: Path, run: Path) -> None:
     print(f"{others} tracks of others")
 
 
+def recall(sequence: Path, run: Path) -> None:
+    """Prints in how many frames a mask of a run has the middle of each driven vehicle, of those that show it whole."""
+    # Length of the segment that stands for its size, meters; a mask of more than its square times this is none of it.
+    length_m, most_areas = 4.2, 6.0
+    truth = Truth.read(sequence)
+    intrinsics, size = np.array(truth.scene["K"]), np.array([truth.scene["width"], truth.scene["height"]])
+    folders = [folder for folder in (run / "tracks").iterdir() if folder.is_dir()]
+    files = {int(file.name.split(".")[0]): file for folder in folders for file in folder.glob("*.png")}
+    found: dict[str, list[tuple[float, set[str]]]] = {name: [] for name in truth.vehicles}
+    for frame, camera in enumerate(truth.cameras):
+        name = files[frame].name if frame in files else ""
+        present = [folder for folder in folders if name and (folder / name).is_file()]
+        masks = {folder.name: cv2.imread(str(folder / name), cv2.IMREAD_GRAYSCALE) for folder in present}
+        for vehicle, poses in truth.vehicles.items():
+            along = np.array([[x, 0, MIDDLE_M, 1] for x in (0, length_m / 2, -length_m / 2)])
+            in_camera = intrinsics @ (np.linalg.inv(camera) @ poses[frame] @ along.T)[:3]
+            middle, *ends = (in_camera[:2] / in_camera[2]).T
+            length = float(np.linalg.norm(ends[0] - ends[1]))
+            if (middle < length / 2).any() or (middle > size - length / 2).any():
+                continue
+            x, y = middle.astype(int)
+            ids = {
+                key
+                for key, mask in masks.items()
+                if mask[y, x] and np.count_nonzero(mask) < most_areas * length**2
+            }
+            found[vehicle].append((length, ids))
+    for vehicle, frames in found.items():
+        if frames:
+            ids = set().union(*(ids for _, ids in frames))
+            hits, mean = sum(bool(ids) for _, ids in frames), np.mean([length for length, _ in frames])
+            print(f"{vehicle}, {mean:.0f} px: {hits} of {len(frames)} frames, {len(ids)} ids")
+
+
 def _state(what: str, errors: np.ndarray) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
@@ -273,8 +308,13 @@ def main() -> None:
     errors.add_argument("sequence", type=Path)
     errors.add_argument("run", type=Path)
     errors.add_argument("--points", type=Path, help="points of the map, for the homography")
+    seen = commands.add_parser("recall", help="frames in which a run has masks of the driven vehicles")
+    seen.add_argument("sequence", type=Path)
+    seen.add_argument("run", type=Path)
     arguments = parser.parse_args()
-    if arguments.command == "inputs":
+    if arguments.command == "recall":
+        recall(arguments.sequence, arguments.run)
+    elif arguments.command == "inputs":
         write_inputs(arguments.sequence, arguments.output, arguments.seed)
     elif (arguments.run / "live.jsonl").is_file() and not (arguments.run / "trajectories.json").is_file():
         compare_live(arguments.sequence, arguments.run)
