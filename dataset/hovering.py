@@ -237,11 +237,7 @@ def recall(sequence: Path, run: Path) -> None:
             if (middle < length / 2).any() or (middle > size - length / 2).any():
                 continue
             x, y = middle.astype(int)
-            ids = {
-                key
-                for key, mask in masks.items()
-                if mask[y, x] and np.count_nonzero(mask) < most_areas * length**2
-            }
+            ids = {key for key, mask in masks.items() if mask[y, x] and np.count_nonzero(mask) < most_areas * length**2}
             found[vehicle].append((length, ids))
     for vehicle, frames in found.items():
         if frames:
