@@ -231,14 +231,13 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
     // The strip's pictures carry the masks' colours, so this page has none.
     let bare = folder.join("bare.html");
     report::write(&bare, &data(&result, Pictures::default())).expect("the report is written");
-    // A picture cannot say whether its page was ready: only one that has nothing of the car is taken again.
+    // A picture cannot say whether its page was ready: one that has too little of the car is taken again.
     let shoot = || {
         let picture = screenshot(&browser, &bare, "#full&theme=dark", (1400, 1000), "bare.png");
         coloured(&picture, object_colour(CAR))
     };
     let mut shots = (0..ATTEMPTS).map(|_| shoot());
-    let (count, [x0, y0, x1, y1]) = shots.find(|(count, _)| *count > 0).expect("the car's colour shows");
-    assert!(count > 700, "{count} pixels in the colour of the car's trajectory");
+    let (_, [x0, y0, x1, y1]) = shots.find(|(count, _)| *count > 700).expect("the car's trajectory shows");
     assert!(x1 - x0 > 300 && y1 - y0 > 100, "they span {x0}..{x1} × {y0}..{y1}");
 }
 
