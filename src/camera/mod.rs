@@ -27,6 +27,9 @@ pub const NUM_INTRINSICS: usize = 6;
 /// Largest inclination of a camera below the horizon, radians: straight down, over a slope. Beyond it the image is
 /// upside down.
 pub const MAX_INCLINATION: f64 = 1.65;
+/// Least sine of a ray's angle below the horizon: beyond it, at 33 camera heights, the plane of the ground is too far
+/// away.
+pub const LEAST_DIP: f64 = 0.03;
 
 /// Intrinsic parameters of one camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

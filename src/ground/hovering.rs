@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
 use super::local::{LocalPlanes, SkipReason, SkippedFrame, lowest_foot, object_pixels};
-use crate::camera::{Camera, MAX_INCLINATION};
+use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION};
 use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconstruction};
 
@@ -132,8 +132,6 @@ const MAX_TILT_STD: f64 = 0.15;
 const MIN_FRAMES: usize = 6;
 /// Standard deviation of the ground's height below a vehicle as a share of the camera's: slopes and kerbs.
 const UNEVENNESS: f64 = 0.01;
-/// Least sine of a ray's angle below the horizon: beyond it the plane is too far away.
-const LEAST_DIP: f64 = 0.03;
 
 /// Deviations beyond which a source contradicts the others, as for sources of scale.
 const MAX_DEVIATIONS: f64 = 3.0;

@@ -25,7 +25,7 @@ use crate::ground::{
 use crate::mapper::{self, HoveringCamera, Intrinsics, PosePriors, RotatingCamera};
 use crate::math::{Rigid3, Sim3, median, umeyama};
 use crate::metric::{Fused, Gravity, Kind, Level, Measured, ObservedPoint, Source, frame_on_ground, fuse};
-use crate::pipeline::{Options, Station, focal_by_map_points, on_map_points, stated_tilts};
+use crate::pipeline::{Options, Station, camera_by_map_points, on_map_points, stated_tilts};
 use crate::scene::{
     Frame, FrameId, GroundPlane, Image, MetricFrame, MetricVerdict, ObjectId, Observation, Point3d, Reconstruction,
 };
@@ -469,10 +469,7 @@ impl Mapper {
         }
         // The same points of the map are no new evidence.
         let before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
-        let of_map = mapper::rotating_camera(table, &self.camera)
-            .and_then(|found| focal_by_map_points(&metric, &found.model(table, &self.camera), before));
-        let (log_focal, focal_std) = of_map.unwrap_or((0.0, before));
-        let camera = self.camera.zoomed(log_focal.exp());
+        let (camera, focal_std) = camera_by_map_points(&metric, table, &self.camera, before);
         let found = match sway {
             Sway::Used => mapper::hovering_camera(table, &camera, focal_std),
             Sway::Ignored => mapper::rotating_camera(table, &camera).map(|rotations| HoveringCamera {

@@ -15,7 +15,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix2x3, Matrix3, Matrix3x2, SMatrix
 use serde::{Deserialize, Serialize};
 
 use super::rotating_camera::{RotatingCamera, rotating_camera};
-use crate::camera::{Camera, MAX_INCLINATION};
+use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION};
 use crate::features::tracks::TrackTable;
 use crate::math::{STD_PER_MAD, median};
 
@@ -94,8 +94,6 @@ const OFF_PLANE: f64 = 1.7;
 const LEAST_TILT_STD: f64 = 0.005;
 /// Standard deviation of the focal length at least, as a share: distortion is not adjusted.
 const LEAST_FOCAL_STD: f64 = 0.01;
-/// Least sine of a ray's angle below the horizon: beyond it the plane is too far away.
-const LEAST_DIP: f64 = 0.03;
 /// χ² by which another normal must be worse: three standard deviations.
 const WORSE: f64 = 9.0;
 /// Angle between normals that are another one, radians.

@@ -33,7 +33,7 @@ pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::PipelineError;
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
 pub use inputs::attitude::orientation as gimbal_orientation;
-pub use inputs::hovering::{OnMap, Station, check_map_points, focal_by_map_points, on_map_points, stated_tilts};
+pub use inputs::hovering::{OnMap, Station, camera_by_map_points, check_map_points, on_map_points, stated_tilts};
 pub use inputs::telemetry::telemetry_of;
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,

@@ -8,9 +8,11 @@ use serde_json::{Value, json};
 
 use super::telemetry::{Origin, Telemetry};
 use super::{alignment, attitude, clock_offsets, telemetry};
+use crate::camera::Camera;
+use crate::features::TrackTable;
 use crate::ground::{SLOPE_STD, StatedTilt, TiltKind};
 use crate::io;
-use crate::mapper::SwayGround;
+use crate::mapper::{SwayGround, rotating_camera};
 use crate::math::Sim3;
 use crate::metric::{
     Alignment, MapPoint, Measured, Offset, Orientation, PositionFix, align, camera_over_map, focal_over_map,
@@ -335,7 +337,7 @@ impl Survey {
     /// * `log_focal` – logarithm of a factor of the focal length.
     ///
     /// # Errors
-    /// What is wrong with which point.
+    /// The number of a point that no camera sees, and the reason.
     fn points(&self, background: &Reconstruction, log_focal: f64) -> Result<Vec<MapPoint>, String> {
         let point = |(number, picked): (usize, &Picked)| {
             let found = match picked.frame {
@@ -377,11 +379,21 @@ pub fn on_map_points(options: &MetricOptions, background: &Reconstruction) -> Re
     Ok(Some(OnMap { alignment, map: survey.map, knows_height: survey.knows_height }))
 }
 
-/// The focal length by the points of a map: logarithm of a factor, and its standard deviation.
+/// A camera that does not translate with the focal length that the points of a map show, and its standard deviation as
+/// a share; both as they are where no points are given, or where they show none.
 ///
 /// * `focal_std` – standard deviation beforehand.
-pub fn focal_by_map_points(options: &MetricOptions, background: &Reconstruction, focal_std: f64) -> Option<(f64, f64)> {
-    let survey = Survey::read(options.map_points.as_deref()?).ok().filter(|_| focal_std > 0.0)?;
-    survey.points(background, 0.0).ok()?;
-    focal_over_map(|log_focal| survey.points(background, log_focal).unwrap_or_default(), focal_std)
+pub fn camera_by_map_points(
+    options: &MetricOptions,
+    table: &TrackTable,
+    camera: &Camera,
+    focal_std: f64,
+) -> (Camera, f64) {
+    let found = || {
+        let survey = Survey::read(options.map_points.as_deref()?).ok().filter(|_| focal_std > 0.0)?;
+        let poses = rotating_camera(table, camera)?.model(table, camera);
+        survey.points(&poses, 0.0).ok()?;
+        focal_over_map(|log_focal| survey.points(&poses, log_focal).unwrap_or_default(), focal_std)
+    };
+    found().map_or((*camera, focal_std), |(log_focal, std)| (camera.zoomed(log_focal.exp()), std))
 }

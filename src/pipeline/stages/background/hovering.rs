@@ -1,12 +1,12 @@
 //! The background of a camera that does not translate: its rotations, and no points.
 
 use super::{ModelReport, failure};
-use crate::mapper::{HoveringCamera, SwayGround, hovering_camera, rotating_camera};
+use crate::mapper::{HoveringCamera, SwayGround, hovering_camera};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::cameras::{self, InitialCamera};
-use crate::pipeline::inputs::hovering::focal_by_map_points;
+use crate::pipeline::inputs::hovering::camera_by_map_points;
 use crate::pipeline::stages::features;
 use crate::scene::{Reconstruction, Topic};
 
@@ -24,10 +24,8 @@ pub(super) fn reconstruct(run: &Run) -> Result<Option<(Reconstruction, ModelRepo
     let table = features::of_background(run)?;
     let InitialCamera { camera, known, .. } = cameras::first(run)?;
     let found = on_threads(run.options.threads, || {
-        let rotations = rotating_camera(&table, &camera)?;
-        let of_map = focal_by_map_points(&run.options.metric, &rotations.model(&table, &camera), known.focal);
-        let (log_focal, focal_std) = of_map.unwrap_or((0.0, known.focal));
-        hovering_camera(&table, &camera.zoomed(log_focal.exp()), focal_std)
+        let (camera, focal_std) = camera_by_map_points(&run.options.metric, &table, &camera, known.focal);
+        hovering_camera(&table, &camera, focal_std)
     })?;
     let Some(HoveringCamera { rotations: found, camera, focal_std, sway }) = found else { return Ok(None) };
     run.workspace.write_state(SWAY, &sway)?;
