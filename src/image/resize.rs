@@ -1,8 +1,8 @@
 //! Other sizes and grey.
 
 use ::image::{GrayImage, RgbImage};
-use nalgebra::{Matrix2x3, Vector2};
-use opencv::core::{BORDER_REPLICATE, Mat, MatTraitConst, Scalar, Size, ToInputArray};
+use nalgebra::{Matrix2x3, Matrix3, Vector2};
+use opencv::core::{BORDER_CONSTANT, BORDER_REPLICATE, Mat, MatTraitConst, Scalar, Size, ToInputArray};
 use opencv::imgproc;
 
 use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, rgb_from_mat};
@@ -62,6 +62,21 @@ pub fn warp_gray(
     let map = mat_from_affine(&map)?;
     imgproc::warp_affine(&borrowed_gray(image)?, &mut out, &map, size, flags, BORDER_REPLICATE, Scalar::default())?;
     gray_from_mat(&out)
+}
+
+/// A color image under a homography, linearly interpolated, of the same size; what lies next to it is black.
+///
+/// * `target_from_source` – pixels whose corner is at (0, 0) in both.
+pub fn warp_rgb(image: &RgbImage, target_from_source: &Matrix3<f64>) -> Result<RgbImage, ImageError> {
+    let size = Size::new(i32::try_from(image.width())?, i32::try_from(image.height())?);
+    // OpenCV counts from the middle of the first pixel.
+    let to_middle = Matrix3::new_translation(&Vector2::repeat(-0.5));
+    let map = to_middle * target_from_source * Matrix3::new_translation(&Vector2::repeat(0.5));
+    let rows: Vec<f64> = map.transpose().iter().copied().collect();
+    let map = Mat::new_rows_cols_with_data::<f64>(3, 3, &rows)?.try_clone()?;
+    let (flags, black, mut out) = (imgproc::INTER_LINEAR, Scalar::default(), Mat::default());
+    imgproc::warp_perspective(&borrowed_rgb(image)?, &mut out, &map, size, flags, BORDER_CONSTANT, black)?;
+    rgb_from_mat(&out)
 }
 
 /// The size of an image of `width` × `height` whose longer side is at most `max_side`: never larger than it is, never a

@@ -4,13 +4,14 @@
 //! could have been seen so: if none leaves residuals within the noise of the picture's other points, it moves; if the
 //! one that does would lie behind the ground, it moves, too. [`movers`] joins points that move together, near one
 //! another and for some time, to boxes. [`judge`] says of one object whose points are known whether it moved. The
-//! equations are in
-//! `docs/maths/motion.md`.
+//! equations are in `docs/maths/motion.md`. Before a camera that does not translate [`DifferenceDetector`] takes the
+//! place of [`movers`].
 //!
-//! All but the follower is arithmetic on values.
+//! All but the follower and the differences is arithmetic on values.
 
 mod classify;
 mod contact;
+mod differences;
 mod fit;
 mod follower;
 mod ground;
@@ -28,6 +29,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::classify::{Evidence, StaticPoint, TrackLabel, Verdict, classify};
+pub use self::differences::{DifferenceDetector, MovingObject};
 pub use self::follower::{PointFollower, PointTrack};
 pub use self::ground::GroundModel;
 pub use self::judge::{CLEAR_ODDS, Judgement, MovementReason, PointOnObject, judge, judge_pieces, without_sway};

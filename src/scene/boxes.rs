@@ -28,6 +28,11 @@ impl Rect {
         (self.y1 - self.y0).max(0.0)
     }
 
+    /// Its middle.
+    pub fn center(&self) -> [f64; 2] {
+        [0.5 * (self.x0 + self.x1), 0.5 * (self.y0 + self.y1)]
+    }
+
     /// Area, square pixels.
     pub fn area_px2(&self) -> f64 {
         self.width() * self.height()

@@ -66,6 +66,30 @@ fn frames_that_nobody_looked_at_are_not_missed() {
 }
 
 #[test]
+fn a_car_in_which_flow_fails_goes_with_its_boxes() {
+    let world = one_car();
+    let mut tracker = Tracker::new(TrackerOptions::default());
+    for t in 0..40 {
+        let flow = (t > 0).then(|| {
+            let (mut flow, before) = (world.flow(t), world.mask(t - 1, 0));
+            let is_of_it = |at: usize| before.get((at as u32 % WIDTH).into(), (at as u32 / WIDTH).into());
+            flow.consistent.iter_mut().enumerate().filter(|(at, _)| is_of_it(*at)).for_each(|(_, c)| *c = false);
+            flow
+        });
+        // A box of motion holds a shadow, too.
+        let mut found = world.boxes(t, DetectionSource::Motion);
+        found.iter_mut().for_each(|found| found.rect.x0 -= 6.0);
+        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+        let prompter = t.is_multiple_of(10).then_some(&mut prompter as &mut dyn BoxSegmenter);
+        let look = FrameInput::Boxes { found: found_boxes(found), by: BoxSource::Motion, prompter };
+        let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}");
+    }
+    let [track] = &tracker.finish()[..] else { panic!("one track") };
+    assert_eq!((track.first, track.last, track.found.motion), (FrameId(0), FrameId(39), 40));
+}
+
+#[test]
 fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
     let world = one_car();
     // The first mask lacks a quarter of the car.

@@ -2,11 +2,13 @@
 
 use ::image::RgbImage;
 
+use super::affine::Affine;
 use super::appearance::Appearance;
 use super::assignment::assign;
 use super::box_groups::{self, BoxGroup, Finding};
 use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
 use super::merging::is_same_size;
+use super::occlusion::Cover;
 use super::propagation::{Propagated, carry_rect};
 use super::region::Region;
 use super::track::{Moment, Prediction, PromptOutcome, Track};
@@ -115,12 +117,21 @@ impl Tracker {
 
     /// Where all tracks should be, and what boxes show.
     fn meet(&self, view: &FrameView, found: Vec<DetectedBox>) -> Meeting {
-        let predictions = self.predict(view.flow, view.image, view.elapsed_s);
-        let is_carried: Vec<bool> =
+        let mut predictions = self.predict(view.flow, view.image, view.elapsed_s);
+        let mut is_carried: Vec<bool> =
             self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
         let trusted = predictions.iter().zip(&is_carried).filter(|(_, is_carried)| **is_carried);
         let rects: Vec<Rect> = trusted.filter_map(|(p, _)| Some(p.carried.as_ref()?.region.rect())).collect();
         let sights = box_groups::merge(found, &rects, &self.options, view.image.dimensions());
+        let lost_just_now = |k: &usize| !is_carried[*k] && !self.tracks[*k].is_lost();
+        let without_flow: Vec<usize> = (0..self.tracks.len()).filter(lost_just_now).collect();
+        for k in without_flow {
+            let track = &self.tracks[k];
+            if let Some(carried) = carried_by_box(track, &predictions[k], &sights, view.image.dimensions()) {
+                predictions[k].carried = Some(carried);
+                is_carried[k] = self.is_trusted(track, &predictions[k], view.image);
+            }
+        }
         let (num_tracks, num_sights) = (self.tracks.len(), sights.len());
         Meeting {
             predictions,
@@ -253,6 +264,7 @@ impl Tracker {
         }
         note(track, sight, IsNew::Yes, view.now);
         track.renew(&fresh, outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
+        track.anchor(sight);
         Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))
     }
 
@@ -372,6 +384,29 @@ fn note(track: &mut Track, sight: Option<&BoxGroup>, is_new: IsNew, now: Moment)
         Some(sight) => track.note(sight, now),
         None => track.count_unboxed(is_new == IsNew::Yes),
     }
+}
+
+/// The mask of an object in which flow is of no use, as of a dark car of 15 pixels, carried with the box that shows the
+/// object; `None` where no box does.
+fn carried_by_box(
+    track: &Track,
+    prediction: &Prediction,
+    sights: &[BoxGroup],
+    (width, height): (u32, u32),
+) -> Option<Propagated> {
+    let place = prediction.moved.as_ref()?.rect();
+    let overlaps = sights.iter().map(|sight| (sight.rect.iou(&place), sight));
+    let (_, sight) = overlaps.filter(|(iou, _)| *iou >= MIN_BOX_OVERLAP).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let displacement = track.displacement_to(&sight.rect)?;
+    let (region, whole) = (&track.region, &track.whole);
+    Some(Propagated {
+        region: region.moved(displacement, width, height)?,
+        whole: whole.moved(displacement, width, height)?,
+        cover: Cover::default(),
+        displacement,
+        share: 1.0,
+        motion: Affine::shift(displacement),
+    })
 }
 
 fn detected(sight: &BoxGroup) -> Evidence {

@@ -13,7 +13,7 @@ use super::retrace::Way;
 use super::support::MIN_FRAMES;
 use super::track_statistics::Ledger;
 use super::{BoxSource, ConfirmedObject, Predecessor, TrackSummary, TrackerOptions};
-use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outline};
+use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outline, Rect};
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;
@@ -118,6 +118,8 @@ pub(super) struct Track {
     is_succeeded: bool,
     /// Share of its outline that was seen when it was lost.
     seen_share: f64,
+    /// Middle of its last new mask seen from that of the box that showed it then, pixels.
+    anchor: Option<[f64; 2]>,
 }
 
 /// Similarity of a mask to that expected of a lost object.
@@ -143,6 +145,7 @@ impl Track {
         (0..=sight.earlier.len()).for_each(|_| track.ledger.look(BoxSource::Detector));
         track.note(sight, now);
         track.confirm_mask(fresh, outline, now);
+        track.anchor(Some(sight));
         track
     }
 
@@ -194,6 +197,7 @@ impl Track {
             after: None,
             is_succeeded: false,
             seen_share: 1.0,
+            anchor: None,
         }
     }
 
@@ -245,6 +249,18 @@ impl Track {
         self.learn_look(fresh.appearance.as_ref());
         self.presence = Presence::Detected;
         self.confirm_mask(fresh, outline, now);
+    }
+
+    /// Remembers where a new mask lies in the box that shows the object.
+    pub(super) fn anchor(&mut self, sight: Option<&BoxGroup>) {
+        let [x, y] = self.region.rect().center();
+        self.anchor = sight.map(|sight| sight.rect.center()).map(|[box_x, box_y]| [x - box_x, y - box_y]);
+    }
+
+    /// Displacement of the mask to a box that shows the object; `None` where it is not known how it lies in its boxes.
+    pub(super) fn displacement_to(&self, rect: &Rect) -> Option<[f64; 2]> {
+        let ([x, y], [box_x, box_y], [dx, dy]) = (self.region.rect().center(), rect.center(), self.anchor?);
+        Some([box_x + dx - x, box_y + dy - y])
     }
 
     /// The outline is that of the new mask, unless that shows a part of an object that is partly hidden.

@@ -37,7 +37,7 @@ pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
 /// that.
 pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
     let stretch = measures.stretch?;
-    let most = STRAYS * class.lengths_m[1] / class.height_m;
+    let most = STRAYS * class.longest_in_heights.min(class.lengths_m[1] / class.height_m);
     let odd = || format!("model stretched {} times along the line of sight", times(stretch));
     match stretch / most {
         factor if factor > BY_FAR => Some(Reason::refutes(Shape, odd())),
@@ -136,6 +136,24 @@ pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn nothing_is_many_times_as_long_as_it_looks() {
+        let finding = |name: &str, stretch: f64| {
+            let measures = Measures { stretch: Some(stretch), ..Measures::default() };
+            super::stretch(&measures, &class::of(name)).map(|reason| reason.finding)
+        };
+        for (class, stretch, finds) in [
+            ("car", 4.5, None),
+            ("car", 6.0, Some(Finding::Doubts)),
+            ("car", 10.0, Some(Finding::Refutes)),
+            ("vehicle", 8.0, None),
+            ("vehicle", 12.0, Some(Finding::Doubts)),
+            ("vehicle", 27.0, Some(Finding::Refutes)),
+        ] {
+            assert_eq!(finding(class, stretch), finds, "{class} {stretch}");
+        }
+    }
 
     #[test]
     fn nothing_is_many_times_as_long_as_high() {

@@ -16,12 +16,17 @@ use serde_json::{Value, json};
 
 use super::background;
 use super::segment::detections::FrameFolder;
+use super::segment::schedule::Schedule;
 use crate::ground::dominant_plane_points;
-use crate::motion::{GroundModel, Mover, PointTrack, Surroundings, TrackLabel, View, classify, movers};
+use crate::motion::{
+    DifferenceDetector, GroundModel, MovingObject, PointTrack, Surroundings, TrackLabel, View, classify, movers,
+};
+use crate::networks::PerceptionError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
+use crate::pipeline::inputs::images;
 use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};
-use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
+use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Rect, Topic};
 use point_tracks::Followed;
 
 pub(in crate::pipeline) const PREFIX: &str = "motion-";
@@ -65,10 +70,15 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
-    let found = match finds(run) {
-        true => movers(&tracks, &labels, &world.surroundings(run), &run.options.motion),
-        false => Vec::new(),
-    };
+    let mut found: Vec<(BTreeMap<u32, Rect>, f64)> = Vec::new();
+    if finds(run) {
+        let by_points = movers(&tracks, &labels, &world.surroundings(run), &run.options.motion);
+        found.extend(by_points.into_iter().map(|mover| (mover.boxes, mover.confidence)));
+        if background::hovers(run) {
+            let by_pixels = differences(run, &world, &frames, &mut outcome)?;
+            found.extend(by_pixels.into_iter().map(|object| (object.boxes, object.confidence)));
+        }
+    }
     outcome.figure("num_points", tracks.len());
     outcome.figure("num_movers", found.len());
     if finds(run) {
@@ -78,6 +88,25 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     intermediate::write(&folder.join(LABELS), &labels)?;
     outcome.outputs.push(folder);
     Ok(outcome)
+}
+
+/// Moving objects before a camera that does not translate. Compared are the frames in which the detector looks.
+fn differences(
+    run: &Run,
+    world: &World,
+    frames: &[Frame],
+    outcome: &mut Outcome,
+) -> Result<Vec<MovingObject>, PipelineError> {
+    let schedule = Schedule::of(run)?;
+    let looks = (0u32..).zip(frames).filter(|(k, _)| schedule.is_detected(*k as usize));
+    let indices: BTreeMap<FrameId, u32> = looks.map(|(k, frame)| (frame.id, k)).collect();
+    let mut detector = DifferenceDetector::new(world.surroundings(run), run.options.motion.follower.max_side_px);
+    let chosen = (run.source.frames_at(indices.keys().copied().collect())?, indices.len());
+    images::for_each(run, Stage::Motion, chosen, outcome, |frame, picture| {
+        let Some(&index) = indices.get(&frame.id) else { return Ok(()) };
+        Ok(detector.push(index, &picture).map_err(PerceptionError::from)?)
+    })?;
+    Ok(detector.finish().map_err(PerceptionError::from)?)
 }
 
 /// The background as motion is held against it.
@@ -139,12 +168,13 @@ fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Opti
     }
 }
 
-fn write_boxes(folder: &Path, frames: &[Frame], found: &[Mover]) -> Result<(), PipelineError> {
+/// * `found` – boxes by frame, and the confidence, of each.
+fn write_boxes(folder: &Path, frames: &[Frame], found: &[(BTreeMap<u32, Rect>, f64)]) -> Result<(), PipelineError> {
     let store: FrameFolder<BoxDetection> = FrameFolder::new(folder.to_owned());
     let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
-    for mover in found {
-        for (&index, &rect) in &mover.boxes {
-            let (class, confidence, finder) = (CLASS.to_owned(), mover.confidence, DetectionSource::Motion);
+    for (object, confidence) in found {
+        for (&index, &rect) in object {
+            let (class, confidence, finder) = (CLASS.to_owned(), *confidence, DetectionSource::Motion);
             boxes.entry(index).or_default().push(BoxDetection { class, confidence, rect, finder });
         }
     }
