@@ -171,7 +171,8 @@ impl Linker {
         for (followed, is_found) in self.live.iter_mut().zip(is_found) {
             followed.num_missed += usize::from(!is_found);
         }
-        self.ended.extend(self.live.extract_if(.., |followed| followed.num_missed > MAX_MISSED));
+        let ended = self.live.extract_if(.., |followed| followed.num_missed > MAX_MISSED);
+        self.ended.extend(ended.filter(|followed| followed.sights.len() >= MIN_LOOKS));
         let new = sights.iter().zip(is_used).filter(|(_, is_used)| !is_used);
         self.live.extend(new.map(|(sight, _)| Followed { sights: vec![*sight], num_missed: 0 }));
     }
