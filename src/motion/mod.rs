@@ -4,8 +4,8 @@
 //! could have been seen so: if none leaves residuals within the noise of the picture's other points, it moves; if the
 //! one that does would lie behind the ground, it moves, too. [`movers`] joins points that move together, near one
 //! another and for some time, to boxes. [`judge`] says of one object whose points are known whether it moved. The
-//! equations are in `docs/maths/motion.md`. Before a camera that does not translate [`DifferenceDetector`] takes the
-//! place of [`movers`].
+//! equations are in `docs/maths/motion.md`. Before a camera that does not translate [`DifferenceDetector`] finds
+//! what has too few points.
 //!
 //! All but the follower and the differences is arithmetic on values.
 

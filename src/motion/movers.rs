@@ -312,7 +312,7 @@ impl Maker<'_> {
     /// Returns true if the centers of two boxes keep their offset, relative to the size of the larger one.
     fn keep_offset(&self, common: &[(Rect, Rect)]) -> bool {
         const MOST_CHANGE: f64 = 0.3;
-        let offset = |(p, q): &(Rect, Rect)| [middle(p)[0] - middle(q)[0], middle(p)[1] - middle(q)[1]];
+        let offset = |(p, q): &(Rect, Rect)| [p.center()[0] - q.center()[0], p.center()[1] - q.center()[1]];
         let side = |(p, q): &(Rect, Rect)| p.area_px2().max(q.area_px2()).sqrt();
         common.first().is_some_and(|first| {
             common.iter().all(|pair| {
@@ -393,10 +393,6 @@ fn similarity_residuals(pairs: &[([f64; 2], [f64; 2])]) -> Vec<f64> {
 fn touches(a: &Rect, b: &Rect) -> bool {
     let smaller = a.area_px2().min(b.area_px2());
     a.grown(0.08).intersection(&b.grown(0.08)).area_px2() > 0.15 * smaller
-}
-
-fn middle(b: &Rect) -> [f64; 2] {
-    [0.5 * (b.x0 + b.x1), 0.5 * (b.y0 + b.y1)]
 }
 
 /// Where a group goes as a whole: the sum of the median steps of its points.

@@ -43,7 +43,7 @@ struct Sight {
 
 impl Sight {
     fn new(number: usize, look: &Look, rect: &Rect) -> Self {
-        let middle = Point2::new(0.5 * (rect.x0 + rect.x1), 0.5 * (rect.y0 + rect.y1));
+        let middle = Point2::from(rect.center());
         let ray = look.view.cam_from_world.rotation.inverse() * look.view.camera.ray_from_pixel(middle);
         let sides = [rect.width(), rect.height()].map(|side| side / look.view.camera.mean_focal());
         Self { index: look.index, look: number, time_s: look.time_s, direction: ray.normalize(), sides }

@@ -14,7 +14,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use nalgebra::Matrix3;
 
-use super::{Surroundings, View};
+use super::{Mover, Surroundings, View};
 use crate::image::{ImageError, RgbImage, blurred, resize_rgb_quickly, scale_to_fit};
 use crate::scene::Rect;
 use linking::Linker;
@@ -25,19 +25,25 @@ use regions::SceneMedian;
 const AROUND_S: f64 = 4.0;
 /// Frames of which the median is taken: half of them may show something else.
 const NUM_SAMPLES: usize = 9;
-/// Time for which one median serves, before and after its own, seconds: it costs ten times as much as a comparison.
+/// Time for which one median serves, before and after its own, seconds: it takes nine warps, a comparison one.
 const SERVES_S: f64 = 0.5;
 
 /// Standard deviation of the blur against noise and jagged edges, pixels.
 const BLUR_PX: f64 = 0.8;
 
-/// Something that moves, in all frames from the first to the last look at it.
+/// Boxes of something that moves, whatever found it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MovingObject {
     /// Its box in each frame, pixels.
     pub boxes: BTreeMap<u32, Rect>,
-    /// Confidence, 0 to 1: grows with its displacement in lengths of its own.
+    /// Confidence, 0 to 1.
     pub confidence: f64,
+}
+
+impl From<Mover> for MovingObject {
+    fn from(Mover { boxes, confidence, .. }: Mover) -> Self {
+        Self { boxes, confidence }
+    }
 }
 
 /// Compares frames, some time apart, with those around them.

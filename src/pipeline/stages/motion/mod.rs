@@ -26,7 +26,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::images;
 use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};
-use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Rect, Topic};
+use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
 use point_tracks::Followed;
 
 pub(in crate::pipeline) const PREFIX: &str = "motion-";
@@ -70,13 +70,12 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
-    let mut found: Vec<(BTreeMap<u32, Rect>, f64)> = Vec::new();
+    let mut found: Vec<MovingObject> = Vec::new();
     if finds(run) {
         let by_points = movers(&tracks, &labels, &world.surroundings(run), &run.options.motion);
-        found.extend(by_points.into_iter().map(|mover| (mover.boxes, mover.confidence)));
+        found.extend(by_points.into_iter().map(MovingObject::from));
         if background::hovers(run) {
-            let by_pixels = differences(run, &world, &frames, &mut outcome)?;
-            found.extend(by_pixels.into_iter().map(|object| (object.boxes, object.confidence)));
+            found.extend(differences(run, &world, &frames, &mut outcome)?);
         }
     }
     outcome.figure("num_points", tracks.len());
@@ -168,13 +167,12 @@ fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Opti
     }
 }
 
-/// * `found` – boxes by frame, and the confidence, of each.
-fn write_boxes(folder: &Path, frames: &[Frame], found: &[(BTreeMap<u32, Rect>, f64)]) -> Result<(), PipelineError> {
+fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Result<(), PipelineError> {
     let store: FrameFolder<BoxDetection> = FrameFolder::new(folder.to_owned());
     let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
-    for (object, confidence) in found {
-        for (&index, &rect) in object {
-            let (class, confidence, finder) = (CLASS.to_owned(), *confidence, DetectionSource::Motion);
+    for object in found {
+        for (&index, &rect) in &object.boxes {
+            let (class, confidence, finder) = (CLASS.to_owned(), object.confidence, DetectionSource::Motion);
             boxes.entry(index).or_default().push(BoxDetection { class, confidence, rect, finder });
         }
     }
