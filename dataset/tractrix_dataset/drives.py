@@ -94,7 +94,8 @@ class Flight:
     ground) and height over the vehicle's ground (m) go from first to second.
     ``gaze`` are knots (time s, degrees to the left) by which the camera looks
     past the vehicle. With ``wind`` (m) the drone hovers where the middle of the
-    drive is in view, and sways by that much.
+    drive is in view, and sways by that much. ``away`` are knots (time s,
+    metres flown along the heading, besides).
     """
 
     azimuths: tuple[float, ...]
@@ -103,6 +104,7 @@ class Flight:
     height: tuple[float, float]
     gaze: Knots = ((0.0, 0.0),)
     wind: float | None = None
+    away: Knots = ((0.0, 0.0),)
 
 
 @dataclass(frozen=True)

@@ -83,6 +83,8 @@ def fly(flight: Flight, azimuth: float, poses: np.ndarray, times: np.ndarray, ke
     sign = rng("wobble", *key).choice([-1.0, 1.0])
     steady = 0.35 if flight.height[0] == flight.height[1] else 1.0
     camera = center + np.stack([distance * np.cos(angle), distance * np.sin(angle), height], 1)
+    flown = smooth_knots(times, flight.away)[:, None] * [np.cos(heading), np.sin(heading), 0.0]
+    center, camera = center + flown, camera + flown
     camera += _wobble(times, flight.wind if hovers else 0.22, "camera", *key) * [sign, 1.0, steady]
     target = center + _wobble(times, 0.8, "target", *key) * [1, 1, 0.4] + [0, 0, 0.7]
     roll = np.radians(1.3) * noise(times, np.zeros(len(times)), 1.7, "roll", *key)

@@ -160,6 +160,13 @@ def _hovering_high(vehicle: str, r: np.random.Generator) -> Trajectory:
     return Trajectory("hovering_high", target, flight, others, near_degenerate=True, sun=(50.0, 140.0))
 
 
+def _hovering_leaving(vehicle: str, r: np.random.Generator) -> Trajectory:
+    """As `hovering` for half of the time; then the drone flies 16 to 22 m along the street."""
+    hovering = _hovering(vehicle, r)
+    away = ((0.0, 0.0), (END_S / 2, 0.0), (END_S, r.uniform(16.0, 22.0)))
+    return replace(hovering, name="hovering_leaving", flight=replace(hovering.flight, away=away))
+
+
 Scenario = Callable[[str, np.random.Generator], Trajectory]
 SCENARIOS: dict[str, Scenario] = {
     "occlusion_lorry": _occlusion_lorry,
@@ -172,6 +179,7 @@ SCENARIOS: dict[str, Scenario] = {
     "dashcam_town": _dashcam_town,
     "hovering": _hovering,
     "hovering_high": _hovering_high,
+    "hovering_leaving": _hovering_leaving,
 }
 NAMES = (*TRAJECTORIES, *SCENARIOS)
 # What is rendered of each scenario, in the order in which it is useful.
@@ -187,6 +195,7 @@ CHOSEN = (
     ("right_curves", "lorry"),
     ("hovering", "hatchback"),
     ("hovering_high", "suv"),
+    ("hovering_leaving", "saloon"),
 )
 
 
