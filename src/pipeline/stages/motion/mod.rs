@@ -70,14 +70,14 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
-    let mut found: Vec<MovingObject> = Vec::new();
-    if finds(run) {
-        let by_points = movers(&tracks, &labels, &world.surroundings(run), &run.options.motion);
-        found.extend(by_points.into_iter().map(MovingObject::from));
-        if background::hovers(run) {
-            found.extend(differences(run, &world, &frames, &mut outcome)?);
+    let found: Vec<MovingObject> = match () {
+        () if !finds(run) => Vec::new(),
+        () if background::hovers(run) => differences(run, &world, &frames, &mut outcome)?,
+        () => {
+            let by_points = movers(&tracks, &labels, &world.surroundings(run), &run.options.motion);
+            by_points.into_iter().map(MovingObject::from).collect()
         }
-    }
+    };
     outcome.figure("num_points", tracks.len());
     outcome.figure("num_movers", found.len());
     if finds(run) {
