@@ -7,8 +7,8 @@
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
-use super::Options;
 use super::plane::{Candidate, fit_plane};
+use super::{Options, SLOPE_STD};
 use crate::math::{Neighbors, median, seeded_rng};
 use crate::scene::{Image, Point3dId, Reconstruction};
 
@@ -29,6 +29,14 @@ pub struct CameraHeight {
     pub num_frames: usize,
     /// Foot of the first such camera.
     pub foot_in_world: Point3<f64>,
+}
+
+impl CameraHeight {
+    /// Standard deviation of the normal as the vertical, radians: the ground is not level, and half of what the planes
+    /// differ is common to all.
+    pub fn tilt_std(&self) -> f64 {
+        SLOPE_STD.hypot(0.5 * self.tilt_spread)
+    }
 }
 
 /// Why the camera's height over the ground is not known.

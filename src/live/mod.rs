@@ -12,7 +12,6 @@
 
 mod frames;
 mod georeference;
-mod hovering;
 mod line;
 mod load;
 mod map;

@@ -4,8 +4,8 @@ use nalgebra::{Matrix3, Point3, Rotation3, SVector, UnitQuaternion, Vector3};
 
 use super::align::Covariance;
 use super::{Alignment, Fused};
-use crate::math::Sim3;
-use crate::scene::{MapOrigin, MetricAxes, MetricFrame, MetricStd};
+use crate::math::{Rigid3, Sim3};
+use crate::scene::{MapOrigin, MetricAxes, MetricFrame, MetricStd, Reconstruction};
 
 /// Substitute for a map: the vertical and a position on the ground.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -18,6 +18,39 @@ pub struct Level {
     pub ahead_in_world: Vector3<f64>,
     /// The origin of the metric frame, in units of the background.
     pub origin_in_world: Point3<f64>,
+}
+
+impl Level {
+    /// Standard deviation of a camera's tilt where no ground is visible, radians.
+    const CAMERA_TILT_STD: f64 = 0.5;
+    /// Largest angle between the viewing direction and straight down at which the upper edge of the image points
+    /// ahead, radians.
+    const STEEP: f64 = 0.3;
+
+    /// The vertical and the origin of a background.
+    ///
+    /// * `up` – the vertical in its frame, and the standard deviation of its tilt, radians; by default the mean of the
+    ///   cameras' own.
+    /// * `foot_in_world` – the origin; by default the first camera.
+    pub fn of_background(
+        background: &Reconstruction,
+        up: Option<(Vector3<f64>, f64)>,
+        foot_in_world: Option<Point3<f64>>,
+    ) -> Self {
+        let upper = |pose: Rigid3| pose.rotation.inverse() * -Vector3::y();
+        let poses = || background.images.values().map(|image| image.cam_from_world);
+        let (up, tilt_std) = up.unwrap_or_else(|| (poses().map(upper).sum(), Self::CAMERA_TILT_STD));
+        let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
+        let first = poses().next().unwrap_or_else(Rigid3::identity);
+        let forward = first.rotation.inverse() * Vector3::z();
+        let is_steep = forward.angle(&-up_in_world) < Self::STEEP;
+        Self {
+            up_in_world,
+            tilt_std,
+            ahead_in_world: if is_steep { upper(first) } else { forward },
+            origin_in_world: foot_in_world.unwrap_or_else(|| first.center()),
+        }
+    }
 }
 
 /// The frame where nothing says where on the map it lies: z up, y ahead, the origin of the [`Level`].

@@ -1,9 +1,9 @@
 //! Measured or given lengths, divided by the same in units of the background.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Vector3;
 
 use super::super::{background, ground};
-use crate::ground::{CameraHeight, HeightFailure, SLOPE_STD, camera_height};
+use crate::ground::{CameraHeight, HeightFailure, camera_height};
 use crate::metric::{Kind, Level, Measured, Source};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
@@ -24,9 +24,6 @@ pub(super) struct Ground {
 /// Verticals further from the ground's normal are those of another camera, or of a turned one, radians.
 pub(super) const MAX_TILT: f64 = 0.35;
 
-/// Standard deviation of a camera's tilt where no ground is visible, radians.
-const CAMERA_TILT_STD: f64 = 0.5;
-
 impl Ground {
     pub(super) fn of(run: &Run, background: &Reconstruction) -> Result<Self, PipelineError> {
         let below = match ground::sources(run)?.hovering {
@@ -36,7 +33,7 @@ impl Ground {
                 camera_height(background, &points, &run.options.ground, run.options.seed)
             }
         };
-        let normal = below.as_ref().ok().map(|found| (found.up_in_world, SLOPE_STD.hypot(0.5 * found.tilt_spread)));
+        let normal = below.as_ref().ok().map(|found| (found.up_in_world, found.tilt_std()));
         let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
         Ok(Self { normal, below, mount: mount(run), focal_std })
     }
@@ -69,22 +66,7 @@ impl Ground {
 
     /// The vertical and an origin where there is no map.
     pub(super) fn level(&self, background: &Reconstruction) -> Level {
-        let poses = || background.images.values().map(|image| image.cam_from_world);
-        let ahead = poses().next().map(|pose| (pose.rotation.inverse() * Vector3::z(), pose.rotation.inverse()));
-        let of_cameras = || poses().map(|pose| pose.rotation.inverse() * -Vector3::y()).sum::<Vector3<f64>>();
-        let (up_in_world, tilt_std) = self.normal.unwrap_or_else(|| (of_cameras(), CAMERA_TILT_STD));
-        let first = poses().next().map_or_else(Point3::origin, |pose| pose.center());
-        let forward = ahead.map_or_else(Vector3::z, |(forward, upper)| {
-            // Straight down the upper edge of the picture is what lies ahead.
-            let is_steep = forward.angle(&-up_in_world) < 0.3;
-            if is_steep { upper * -Vector3::y() } else { forward }
-        });
-        Level {
-            up_in_world: up_in_world.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y()),
-            tilt_std,
-            ahead_in_world: forward,
-            origin_in_world: self.below.as_ref().map_or(first, |found| found.foot_in_world),
-        }
+        Level::of_background(background, self.normal, self.below.as_ref().ok().map(|found| found.foot_in_world))
     }
 }
 

@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-use super::WINDOW_S;
-use super::map::{DENSE_VIEWS, MIN_TRACK};
-use super::window::{LIMITS, SPARE_S, Snapshot, sub_table};
+use super::super::WINDOW_S;
+use super::super::window::{LIMITS, SPARE_S, Snapshot, sub_table};
+use super::{DENSE_VIEWS, MIN_TRACK};
 use crate::camera::Camera;
 use crate::features::TrackTable;
 use crate::features::tracks::Feature;
@@ -83,7 +83,7 @@ pub(super) fn ground_of_map(dominant: &DominantPlane, model: &Reconstruction) ->
 /// not drift.
 ///
 /// * `poses` – by view.
-pub(super) fn on_plane(
+pub(super) fn model(
     table: &TrackTable,
     camera: &Camera,
     poses: &[Option<Rigid3>],
