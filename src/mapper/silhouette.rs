@@ -40,8 +40,8 @@ impl SilhouetteVotes {
         Self { gaps: object.gaps(), ..Self::default() }
     }
 
-    /// Takes the vote of one registered image; points that project beyond the picture or where `is_hidden` have
-    /// none in it.
+    /// Takes the vote of one registered image. Points where `is_hidden` have none in it; those that are out of view have
+    /// one where the mask shows the object as a whole: no part of it lies beside the picture or behind the camera.
     ///
     /// * `silhouette` – the object's mask in this image, grown by what its border may be off.
     /// * `is_hidden` – whether another object may stand in front of an image position.
@@ -56,17 +56,23 @@ impl SilhouetteVotes {
         let of_image = sub_map(image);
         let Some(image) = object.images.get(&image) else { return };
         let camera = object.camera_of(image);
+        let is_whole = silhouette.bounding_box().is_some_and(|bounds| {
+            bounds.x0 > 0 && bounds.y0 > 0 && bounds.x1 < silhouette.width() && bounds.y1 < silhouette.height()
+        });
         for (&id, point) in &object.points {
             if point.track.first().is_some_and(|element| sub_map(element.image) != of_image) {
                 continue;
             }
-            let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * point.position) else { continue };
-            if !camera.contains(pixel) || is_hidden(pixel.x, pixel.y) {
-                continue;
-            }
+            let pixel = camera.pixel_from_cam(image.cam_from_world * point.position);
+            let is_outside = match pixel.filter(|pixel| camera.contains(*pixel)) {
+                Some(pixel) if is_hidden(pixel.x, pixel.y) => continue,
+                Some(pixel) => !silhouette.contains(pixel.x, pixel.y),
+                None if is_whole => true,
+                None => continue,
+            };
             let [votes, outside] = self.votes.entry(id).or_default();
             *votes += 1;
-            *outside += u32::from(!silhouette.contains(pixel.x, pixel.y));
+            *outside += u32::from(is_outside);
         }
     }
 
@@ -146,6 +152,19 @@ mod tests {
         votes.add(&object, ImageId(1), &nothing, |_, _| true);
         assert_eq!(votes.outside(&options), []);
         votes.add(&object, ImageId(1), &nothing, |_, _| false);
+        assert_eq!(votes.outside(&options), [Point3dId(1)]);
+    }
+
+    #[test]
+    fn points_behind_a_camera_that_sees_the_whole_object_are_outside() {
+        let mut object = point(&[1], &[]);
+        object.points.values_mut().for_each(|point| point.position.z = -0.1);
+        let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
+        let mask = |from: u32| Mask::from_fn(100, 100, |x, y| (from..60).contains(&x) && (40..60).contains(&y));
+        let mut votes = SilhouetteVotes::default();
+        votes.add(&object, ImageId(1), &mask(0), |_, _| false);
+        assert_eq!(votes.outside(&options), [], "the border cuts the object");
+        votes.add(&object, ImageId(1), &mask(40), |_, _| false);
         assert_eq!(votes.outside(&options), [Point3dId(1)]);
     }
 
