@@ -2,7 +2,7 @@
 //!
 //! The newest frame is taken (`frames.rs`); vehicles are detected and followed on a thread (`perception.rs`), while
 //! points of the frame before are tracked on another (`window.rs`), by the objects that a run uses. A worker
-//! reconstructs the window of the last ten seconds with the batch mapper, in the frame of the maps before (`map.rs`);
+//! reconstructs the window of the last ten seconds with the batch mapper, in the frame of the maps before (`map`);
 //! another places models of the vehicles in every third of these maps (`models.rs`).
 //! Between two maps every frame is registered by resection, and the lower edges of the masks give provisional positions
 //! on the local ground planes; a frame that leaves the window gets its final ones (`vehicles.rs`). What does not keep

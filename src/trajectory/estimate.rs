@@ -217,10 +217,13 @@ pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted:
 
 /// Variance beyond the reported ones that the difference to least squares on the same model shows: half of its square
 /// beyond what both explain (two estimates with a random effect; R. DerSimonian and N. Laird, *Meta-analysis in
-/// clinical trials*, 1986). Least squares is assumed to have twice its reported standard deviation (decision 7).
+/// clinical trials*, 1986). Least squares is assumed to have twice its reported standard deviation (decision 7), and
+/// its ratio may be any between those of noise in one kind of heights or the other.
 fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
     let Some(other) = all_frames else { return 0.0 };
-    let (difference, own) = (other.ratio / found.ratio - 1.0, 2.0 * other.std / found.ratio);
+    let (least, most) = (other.ratio.min(other.ratio_by_object_noise), other.ratio.max(other.ratio_by_object_noise));
+    let nearest = found.ratio.max(least).min(most) / found.ratio;
+    let (difference, own) = (nearest - 1.0, 2.0 * nearest * other.std / other.ratio);
     let excess = difference * difference - own * own - found.shares.total().powi(2);
     if excess > 0.0 && excess.is_finite() { (0.5 * excess).sqrt() } else { 0.0 }
 }

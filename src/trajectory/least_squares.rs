@@ -17,6 +17,9 @@
 //! r = − Σ x_i y_i / F_i / Σ x_i² / F_i,      σ_r² = σ² / Σ x_i² / F_i.
 //! ```
 //!
+//! The regression takes the a_i for exact; noise in them shrinks r. With all noise theirs the ratio is
+//! (1 + (n − 2) σ_r² / r²) r; the truth lies between (R. Frisch, *Statistical Confluence Analysis*, 1934).
+//!
 //! q is the one of greatest restricted likelihood. The weights w_i are Tukey's, of the distance of e_i from the median
 //! of its neighbours in time: wrong planes stand out from their neighbours and lose all weight, drift does not.
 //!
@@ -81,6 +84,8 @@ pub struct LeastSquares {
     pub ratio: f64,
     /// Its standard deviation.
     pub std: f64,
+    /// r if all noise were in the heights of the object.
+    pub ratio_by_object_noise: f64,
     /// Standard deviation of the distances d over all frames, drift included, units of the background.
     pub residual_std: f64,
     /// √q: standard deviation of the drift from one frame to the next, relative to that of the white noise.
@@ -251,6 +256,7 @@ impl Series {
         LeastSquares {
             ratio: fit.ratio,
             std: fit.std,
+            ratio_by_object_noise: fit.ratio + (n - 2.0).max(0.0) * fit.std.powi(2) / fit.ratio,
             residual_std: spread(&distances) * (n / (n - 2.0).max(1.0)).sqrt(),
             drift: fit.drift.sqrt(),
             excitation: spread(&self.offsets),
@@ -321,6 +327,29 @@ mod tests {
         }
         let [with, without] = surprises;
         assert!((0.3..2.5).contains(&with) && without > 5.0, "{with} {without}");
+    }
+
+    /// A camera that hardly climbs, and an object whose heights have noise of half the climb.
+    #[test]
+    fn the_truth_is_the_ratio_by_object_noise_where_all_noise_is_the_objects() {
+        use rand::Rng as _;
+        const NUM_SEEDS: u64 = 20;
+        let [mut least, mut most] = [0.0, 0.0];
+        for seed in 0..NUM_SEEDS {
+            let world = drive(&Options { camera_climb_m: 0.3, ..Options::default() }, seed);
+            let mut views =
+                Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
+            let (mut rng, noise) = (crate::math::seeded_rng(seed, 3), 0.5 * solve(&world).excitation);
+            for view in &mut views.views {
+                let up = noise * rng.sample::<f64, _>(rand_distr::StandardNormal);
+                view.center_in_object += up * view.normal_in_object;
+            }
+            let options = LeastSquaresOptions { drift: false, ..LeastSquaresOptions::default() };
+            let found = least_squares(&views, &options).unwrap();
+            least += found.ratio / world.ratio / NUM_SEEDS as f64;
+            most += found.ratio_by_object_noise / world.ratio / NUM_SEEDS as f64;
+        }
+        assert!((0.7..0.9).contains(&least) && (0.95..1.05).contains(&most), "{least} {most}");
     }
 
     #[test]
