@@ -40,8 +40,8 @@ impl SilhouetteVotes {
         Self { gaps: object.gaps(), ..Self::default() }
     }
 
-    /// Takes the vote of one registered image. Points where `is_hidden` have none in it; those that are out of view have
-    /// one where the mask shows the object as a whole: no part of it lies beside the picture or behind the camera.
+    /// Takes the vote of one registered image. Points where `is_hidden` have none in it. Points out of view are outside
+    /// if the mask shows the object as a whole: no part of it is out of the picture or behind the camera.
     ///
     /// * `silhouette` – the object's mask in this image, grown by what its border may be off.
     /// * `is_hidden` – whether another object may stand in front of an image position.
