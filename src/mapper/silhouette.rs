@@ -56,9 +56,8 @@ impl SilhouetteVotes {
         let of_image = sub_map(image);
         let Some(image) = object.images.get(&image) else { return };
         let camera = object.camera_of(image);
-        let is_whole = silhouette.bounding_box().is_some_and(|bounds| {
-            bounds.x0 > 0 && bounds.y0 > 0 && bounds.x1 < silhouette.width() && bounds.y1 < silhouette.height()
-        });
+        let (width, height) = (silhouette.width(), silhouette.height());
+        let is_whole = silhouette.bounding_box().is_some_and(|bounds| !bounds.touches_border(width, height));
         for (&id, point) in &object.points {
             if point.track.first().is_some_and(|element| sub_map(element.image) != of_image) {
                 continue;

@@ -33,6 +33,11 @@ impl BoundingBox {
     pub fn height(&self) -> u32 {
         self.y1 - self.y0
     }
+
+    /// Returns true if it reaches the border of an image of a size, pixels.
+    pub fn touches_border(&self, width: u32, height: u32) -> bool {
+        self.x0 == 0 || self.y0 == 0 || self.x1 >= width || self.y1 >= height
+    }
 }
 
 impl Mask {

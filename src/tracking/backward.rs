@@ -224,6 +224,6 @@ fn who_is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> O
 /// Returns true if a lost object was at the image border.
 fn leaves_at_rim(track: &Track, width: u32, height: u32) -> bool {
     let b = track.region.bounds();
-    let at_rim = b.x0 == 0 || b.y0 == 0 || b.x1 >= width || b.y1 >= height;
+    let at_rim = b.touches_border(width, height);
     matches!(track.presence, Presence::Lost(_)) && (at_rim || leaves(b, [0.0; 2], width, height))
 }

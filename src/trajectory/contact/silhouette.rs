@@ -20,7 +20,7 @@ impl Silhouette {
     /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
     pub fn of(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
-        let cut = bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 >= mask.width() || bounds.y1 >= mask.height();
+        let cut = bounds.touches_border(mask.width(), mask.height());
         let [left, top, right, bottom] = [bounds.x0, bounds.y0, bounds.x1, bounds.y1].map(|at| at as usize);
         let rows = || {
             let rows = mask.pixels().chunks_exact(mask.width() as usize).enumerate();

@@ -85,7 +85,7 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
 
 /// Returns true if the border of the image cuts a mask off.
 fn is_cut(bounds: &BoundingBox, mask: &Mask) -> bool {
-    bounds.x0 == 0 || bounds.y0 == 0 || bounds.x1 == mask.width() || bounds.y1 == mask.height()
+    bounds.touches_border(mask.width(), mask.height())
 }
 
 /// Poses of the views of an object on the ground; `None` where there is none.
