@@ -142,6 +142,23 @@ fn views_from_low_say_where_the_ground_is() {
 }
 
 #[test]
+fn noise_of_the_lower_points_does_not_lift_the_ground() {
+    let found = |noise: f64| {
+        let (mut model, silhouettes) = from_the_side([15.0; 11].into_iter());
+        for k in 0..80_u32 {
+            let off = noise * (f64::from(k % 10) / 4.5 - 1.0);
+            let y = if k % 20 < 10 { 0.8 + off } else { -0.8 - off };
+            let position = Point3::new(0.05 * f64::from(k) - 2.0, y, if k < 40 { 0.3 } else { 1.5 });
+            let point = Point3d { position, rgb: [0; 3], error_px: 0.5, track: Vec::new() };
+            model.points.insert(Point3dId(u64::from(k) + 100), point);
+        }
+        contact(&model, &silhouettes, Some(Vector3::x_axis()), &ContactOptions::default()).unwrap()
+    };
+    let (exact, noisy) = (found(0.0), found(0.15));
+    assert!((noisy.z - exact.z).abs() < 0.02, "{exact:?}, {noisy:?}");
+}
+
+#[test]
 fn from_behind_the_tyres_of_the_rear_show_the_ground() {
     let found = |distance: f64| {
         let (model, silhouettes) = from_behind(distance);
