@@ -113,6 +113,9 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
 /// moves the outermost 0.05 to 0.21 out on rendered cars (decision 37).
 const SIDE_DEPTH: f64 = 0.2;
 
+/// Fewest points of a side away from its corners that say where it is.
+const MIN_SIDE_POINTS: usize = 10;
+
 /// Share of the lowest points that lie within an outline which shows them.
 const LEAST_INSIDE: f64 = 0.9;
 
@@ -226,7 +229,7 @@ impl LowerEdge<'_> {
         [setback, setback_std]: [f64; 2],
     ) -> Option<Contact> {
         let mut found: Vec<(f64, f64)> = Vec::new();
-        let sides = [*away, -away].map(|back| (self.side(&-back), back));
+        let sides = [*away, -away].map(|back| (self.side(&-back, line), back));
         for (image, outline) in seen {
             let Some(sight) = self.sight(image).filter(&shows) else { continue };
             let (feet, back) = &sides[usize::from(sight.dot(&away.xy()) < 0.0)];
@@ -244,13 +247,19 @@ impl LowerEdge<'_> {
         Some(Contact { z, std: median(stds)?, num_frames })
     }
 
-    /// The lowest points of the side, or the end, that faces a direction. The outermost of them alone would be where
-    /// noise has moved them, further than tires are set back.
-    fn side(&self, outward: &Vector3<f64>) -> Vec<Point3<f64>> {
-        let offset = |foot: &Point3<f64>| outward.dot(&foot.coords);
-        let outermost = quantile(&mut self.feet.iter().map(offset).collect::<Vec<_>>(), self.options.within);
-        let least = outermost.map_or(f64::INFINITY, |outermost| outermost - SIDE_DEPTH * self.extent);
-        self.feet.iter().filter(|foot| offset(foot) >= least).copied().collect()
+    /// The lowest points of the side, or the end, that faces a direction and runs along a line, without those around the
+    /// corners. The outermost of them alone would be where noise has moved them, further than tires are set back.
+    fn side(&self, outward: &Vector3<f64>, line: &Vector3<f64>) -> Vec<Point3<f64>> {
+        let outermost = |direction: &Vector3<f64>| {
+            let mut offsets: Vec<f64> = self.feet.iter().map(|foot| direction.dot(&foot.coords)).collect();
+            quantile(&mut offsets, self.options.within).unwrap_or(f64::NEG_INFINITY)
+        };
+        let edges = [*outward, *line, -line].map(|direction| (direction, outermost(&direction)));
+        let depth = |foot: &Point3<f64>, k: usize| (edges[k].1 - edges[k].0.dot(&foot.coords)) / self.extent;
+        let all: Vec<Point3<f64>> = self.feet.iter().filter(|foot| depth(foot, 0) <= SIDE_DEPTH).copied().collect();
+        let is_inside = |foot: &&Point3<f64>| [1, 2].iter().all(|k| depth(foot, *k) > SIDE_DEPTH);
+        let middle: Vec<Point3<f64>> = all.iter().filter(is_inside).copied().collect();
+        if middle.len() >= MIN_SIDE_POINTS { middle } else { all }
     }
 
     /// Unit direction from the camera to the vehicle, seen from above.

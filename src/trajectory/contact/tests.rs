@@ -155,7 +155,8 @@ fn noise_of_the_lower_points_does_not_lift_the_ground() {
         contact(&model, &silhouettes, Some(Vector3::x_axis()), &ContactOptions::default()).unwrap()
     };
     let (exact, noisy) = (found(0.0), found(0.15));
-    assert!((noisy.z - exact.z).abs() < 0.02, "{exact:?}, {noisy:?}");
+    // The outermost points are 0.15 further out, which would lift it by 0.11.
+    assert!((noisy.z - exact.z).abs() < 0.05, "{exact:?}, {noisy:?}");
 }
 
 #[test]
