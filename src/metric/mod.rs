@@ -38,5 +38,6 @@ pub use placing::{
 };
 pub use utc_offset::{UtcOffset, UtcOffsetError};
 pub use vehicles::{
-    Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, contradicted_sizes, vehicle_sizes,
+    Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, contradicted_sizes, is_car_by_size,
+    vehicle_sizes,
 };

@@ -12,7 +12,7 @@ mod single;
 
 use std::collections::BTreeMap;
 
-use self::single::{SizeEstimate, answer};
+use self::single::{SizeEstimate, answer, probability_of_car};
 
 /// A class whose vehicles are alike.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -224,6 +224,17 @@ pub fn contradicted_sizes(extents: &[Extent], known: Option<(f64, f64)>) -> Vec<
     answers.filter_map(|a| against(&a).or_else(|| shape(&a))).collect()
 }
 
+/// Probability from which a bus or a truck is called a car: of such changes one in twenty is wrong at most.
+const IS_CAR: f64 = 0.95;
+
+/// Returns true if the extents of one vehicle, labeled as a bus or a truck, are those of a car.
+///
+/// * `known` – as for [`contradicted_sizes`].
+pub fn is_car_by_size(extents: &[Extent], known: Option<(f64, f64)>) -> bool {
+    let extents: Vec<Extent> = extents.iter().filter(|extent| extent.is_usable()).copied().collect();
+    probability_of_car(&extents, known) > IS_CAR
+}
+
 /// Mean by inverse variances, whose deviation grows with the disagreement, and what a place has in common.
 fn together(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
     let (log_scale, std) = mean(answers)?;
@@ -311,6 +322,26 @@ mod tests {
         let broken = Extent { value: f64::NAN, ..car(1, SIZES[0])[0] };
         assert_eq!(vehicle_sizes(&[broken]), VehicleSizes::default());
         assert_eq!(VehicleClass::from_label("boat"), None);
+    }
+
+    #[test]
+    fn a_car_that_is_labeled_as_a_bus_is_a_car() {
+        let labeled = |class, metres| -> Vec<Extent> {
+            car(1, metres).into_iter().map(|extent| Extent { class, ..extent }).collect()
+        };
+        let (small, bus) = ([3.57, 1.63, 1.49], [11.8, 2.55, 3.2]);
+        let known = Some((0.5f64.ln(), 0.1));
+        for class in [VehicleClass::Bus, VehicleClass::Truck] {
+            assert!(is_car_by_size(&labeled(class, small), known));
+            assert!(!is_car_by_size(&labeled(class, bus), known) && !is_car_by_size(&labeled(class, bus), None));
+            // Its length alone says nothing without a scale.
+            assert!(!is_car_by_size(&labeled(class, small)[..1], None));
+        }
+        // Buses are longer for their width; of trucks some have a car's proportions.
+        let by_proportions = |class| is_car_by_size(&labeled(class, small), None);
+        assert!(by_proportions(VehicleClass::Bus) && !by_proportions(VehicleClass::Truck));
+        assert!(!is_car_by_size(&labeled(VehicleClass::Motorcycle, small), known));
+        assert!(!is_car_by_size(&[], known));
     }
 
     #[test]

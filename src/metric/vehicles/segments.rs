@@ -69,3 +69,12 @@ pub(super) fn of(class: VehicleClass) -> &'static [Segment] {
         VehicleClass::Motorcycle => &MOTORCYCLE,
     }
 }
+
+/// The part of a class that is cars: those that a detector takes for large vehicles.
+pub(super) fn cars_among(class: VehicleClass) -> &'static [Segment] {
+    match class {
+        VehicleClass::Truck => &TRUCK[1..],
+        VehicleClass::Bus => &BUS[1..],
+        VehicleClass::Car | VehicleClass::Motorcycle => &[],
+    }
+}

@@ -3,7 +3,7 @@
 use nalgebra::{DMatrix, DVector};
 
 use super::segments::{self, Segment};
-use super::{Extent, SHARED_BY_VEHICLE, UNCONFIRMED};
+use super::{Extent, SHARED_BY_PLACE, SHARED_BY_VEHICLE, UNCONFIRMED};
 
 /// Joint estimate from the extents of one vehicle.
 #[derive(Clone, Copy, Debug)]
@@ -68,6 +68,28 @@ pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
         misfit: chi2.sqrt(),
     };
     [answer.log_scale, answer.std, answer.misfit].iter().all(|x| x.is_finite()).then_some(answer)
+}
+
+/// Probability that a vehicle that is labeled as a large one is a car, by its extents and meters per unit from other
+/// sources (logarithm and standard deviation).
+pub(super) fn probability_of_car(extents: &[Extent], known: Option<(f64, f64)>) -> f64 {
+    let Some(first) = extents.first() else { return 0.0 };
+    let unconfirmed = if extents.len() == 1 || first.is_unconfirmed { UNCONFIRMED } else { 0.0 };
+    let own = first.ratio_std.powi(2) + unconfirmed.powi(2);
+    let log_weight = |member: &Member| {
+        let of_scale = known.map_or(0.0, |(log_scale, std)| {
+            let variance = member.variance + own + std.powi(2) + SHARED_BY_PLACE.powi(2);
+            (member.log_scale - log_scale).powi(2) / variance + variance.ln()
+        });
+        member.log_weight - 0.5 * of_scale
+    };
+    let log_weights = |segments: &[Segment]| -> Vec<f64> {
+        segments.iter().filter_map(|segment| member(segment, extents)).map(|member| log_weight(&member)).collect()
+    };
+    let [all, cars] = [segments::of(first.class), segments::cars_among(first.class)].map(log_weights);
+    let highest = all.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let total = |weights: &[f64]| weights.iter().map(|weight| (weight - highest).exp()).sum::<f64>();
+    total(&cars) / total(&all)
 }
 
 /// Generalised least squares with one unknown.

@@ -79,6 +79,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     };
     describe(&found.metric, &mut outcome);
     let Trajectories { unit, mut objects, mut ground_tracks, .. } = trajectories;
+    vehicles::correct_classes(&mut objects, &sizes, found.known);
     vehicles::doubt_sizes(&mut objects, &sizes, found.known, &mut outcome);
     ground_tracks = scale::ground_tracks::decided(ground_tracks, &objects);
     let is_placed = !objects.is_empty() || !ground_tracks.is_empty();

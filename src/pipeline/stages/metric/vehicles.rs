@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::math::rounding::significant;
 use crate::metric::{
     Dimension, Extent, Kind, KnownLength, Measured, OddVehicle, Oddity, Source, VehicleClass, VehicleSizes,
-    contradicted_sizes, vehicle_sizes,
+    contradicted_sizes, is_car_by_size, vehicle_sizes,
 };
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{
@@ -145,6 +145,27 @@ impl Alike {
     }
 }
 
+/// Calls every bus or truck that has the size of a car a car: from above, detectors take one for the other.
+///
+/// * `known` – as for [`doubt_sizes`].
+pub(super) fn correct_classes(
+    objects: &mut [ObjectTrajectory],
+    sizes: &BTreeMap<ObjectId, Size>,
+    known: Option<(f64, f64)>,
+) {
+    for trajectory in objects.iter_mut().filter(|trajectory| !trajectory.is_ruled_out()) {
+        if is_car_by_size(&extents(trajectory, sizes), known) {
+            let says = format!("size of a car; detected as {}", trajectory.class);
+            trajectory.class = CAR.to_owned();
+            let verdict = trajectory.verdict.take();
+            trajectory.verdict = verdict.map(|verdict| with_reason(verdict, Reason::supports(ReasonKind::Size, says)));
+        }
+    }
+}
+
+/// Label of cars, as detectors have it.
+const CAR: &str = "car";
+
 /// Adds a doubt to the verdict on every vehicle whose proportions are those of no vehicle of its class, or whose size
 /// contradicts meters from other sources.
 ///
@@ -263,6 +284,22 @@ mod tests {
         assert_eq!(state([0.5; 3], Some((0.0, 0.02))), Some(Trust::Doubtful));
         assert_eq!(state([0.5; 3], Some((0.0, 0.3))), Some(Trust::Good));
         assert_eq!(state([1.0, 1.0, 0.5], None), Some(Trust::Doubtful));
+    }
+
+    #[test]
+    fn a_bus_of_the_size_of_a_car_is_a_car() {
+        let class = |factor: f64, state: Trust| {
+            let (mut trajectory, size) = car(1, factor, state);
+            trajectory.class = "bus".to_owned();
+            let mut objects = [trajectory];
+            correct_classes(&mut objects, &[size].into(), Some((0.0, 0.1)));
+            let [trajectory] = objects;
+            let reasons = trajectory.verdict.map(|verdict| verdict.reasons).unwrap_or_default();
+            (trajectory.class, reasons.first().map(|reason| reason.says.clone()))
+        };
+        assert_eq!(class(1.0, Trust::Fair), ("car".to_owned(), Some("size of a car; detected as bus".to_owned())));
+        assert_eq!(class(1.0, Trust::Rejected), ("bus".to_owned(), None));
+        assert_eq!(class(2.5, Trust::Fair), ("bus".to_owned(), None));
     }
 
     #[test]

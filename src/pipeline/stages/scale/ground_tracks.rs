@@ -52,11 +52,15 @@ fn rejection(trajectory: &ObjectTrajectory) -> Option<String> {
     trajectory.is_ruled_out().then(|| format!("trajectory rejected: {}", reason()))
 }
 
-/// The ground tracks of vehicles whose trajectory is unusable by its last verdict.
+/// The ground tracks of vehicles whose trajectory is unusable by its last verdict, with the class of the trajectory.
 pub(in crate::pipeline) fn decided(tracks: Vec<GroundTrack>, objects: &[ObjectTrajectory]) -> Vec<GroundTrack> {
     let last = |mut track: GroundTrack| {
+        let object = objects.iter().find(|object| object.id == track.id);
+        if let Some(object) = object {
+            track.class.clone_from(&object.class);
+        }
         if track.reason.is_empty() {
-            track.reason = objects.iter().find(|object| object.id == track.id).and_then(rejection)?;
+            track.reason = object.and_then(rejection)?;
         }
         Some(track)
     };
