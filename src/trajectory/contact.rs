@@ -247,8 +247,8 @@ impl LowerEdge<'_> {
         Some(Contact { z, std: median(stds)?, num_frames })
     }
 
-    /// The lowest points of the side, or the end, that faces a direction and runs along a line, without those around the
-    /// corners. The outermost of them alone would be where noise has moved them, further than tires are set back.
+    /// The lowest points of the side, or the end, that faces a direction and runs along a line, without those around
+    /// its corners. The outermost of them alone would be where noise has moved them, further than tires are set back.
     fn side(&self, outward: &Vector3<f64>, line: &Vector3<f64>) -> Vec<Point3<f64>> {
         let outermost = |direction: &Vector3<f64>| {
             let mut offsets: Vec<f64> = self.feet.iter().map(|foot| direction.dot(&foot.coords)).collect();
