@@ -15,7 +15,7 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
         // Writing to a string cannot fail.
         let _ = match trajectories.objects.iter().find(|trajectory| trajectory.id == id) {
             Some(found) => write!(text, "{}", placed(found, vehicle, summary.time_base)),
-            None => writeln!(text, "  {id}: {}, no trajectory: {}", class(vehicle), why_not(vehicle)),
+            None => writeln!(text, "  {id}: {}, no trajectory: {}", class(&vehicle.class, vehicle), why_not(vehicle)),
         };
         text += &trajectories.ground_track(id).map(|track| on_ground(track, summary.time_base)).unwrap_or_default();
     }
@@ -62,7 +62,7 @@ fn on_ground(track: &GroundTrack, times: TimeBase) -> String {
 }
 
 fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> String {
-    let (id, class) = (found.id, class(vehicle));
+    let (id, class) = (found.id, class(&found.class, vehicle));
     let (placed, visible) = (found.poses.len(), vehicle.model.num_visible);
     let mut text =
         format!("  {id}: {class}, 3D position in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
@@ -113,8 +113,8 @@ pub(super) fn why_not(vehicle: &Vehicle) -> &str {
 }
 
 /// "car, moving".
-fn class(vehicle: &Vehicle) -> String {
-    let class = if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class };
+fn class(name: &str, vehicle: &Vehicle) -> String {
+    let class = if name.is_empty() { "vehicle" } else { name };
     match vehicle.movement {
         Some(state @ (Movement::Moving | Movement::Stationary)) => format!("{class}, {}", state.name()),
         Some(Movement::Undetermined) | None => class.to_owned(),

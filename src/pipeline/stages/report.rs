@@ -199,14 +199,16 @@ fn objects<'a>(
         let report = reports.get(&tracked.id);
         let unregistered = report.map(|report| report.unregistered.clone()).unwrap_or_default();
         let failure = report.and_then(|report| report.failure.clone());
+        let trajectory = trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id);
         Object {
             id: tracked.id,
-            class: tracked.class.clone(),
+            // The size of a vehicle may correct its class.
+            class: trajectory.map_or(&tracked.class, |trajectory| &trajectory.class).clone(),
             confidence: tracked.confidence,
             tracked: Some(tracked),
             visible: tracked.frames.clone(),
             model: models.get(&tracked.id).map(|reconstruction| Model { reconstruction, unregistered }),
-            trajectory: trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id),
+            trajectory,
             ground_track: trajectories.ground_track(tracked.id),
             ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
             failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
