@@ -211,7 +211,8 @@ mod tests {
 
     #[test]
     fn every_vehicle_is_told_in_words() {
-        let vehicles = [(1, vehicle("car", 10, None)), (4, vehicle("truck", 2, Some("it is too small")))];
+        // Detected as a bus, of the size of a car.
+        let vehicles = [(1, vehicle("bus", 10, None)), (4, vehicle("truck", 2, Some("it is too small")))];
         let found = Trajectories {
             unit: Unit::Background,
             metric: None,
@@ -236,7 +237,7 @@ mod tests {
 
     #[test]
     fn metres_have_speeds_and_sizes_and_one_vehicle_is_one() {
-        let mut vehicle_1 = trajectory(1);
+        let mut vehicle_1 = ObjectTrajectory { class: String::new(), ..trajectory(1) };
         let speed = |value| Some(Estimate { value, std: 0.04 * value });
         vehicle_1.travel = vehicle_1.travel.map(|travel| Travel {
             path_m: Some(travel.path_units.scaled(10.0)),
