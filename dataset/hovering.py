@@ -156,14 +156,16 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
     poses = images(run)
     to_first = registered(sequence / "video.mp4", len(truth.cameras)) if points is not None else []
     total: dict[str, list[np.ndarray]] = {"tractrix": [], "homography": []}
+    total_stds: dict[str, list[list[float]]] = {"tractrix": [], "homography": []}
     for thing in content["objects"]:
         names = {f["frame"]: f["name"] for f in thing["frames"]}
         name = _truth_of(truth, thing, poses)
         where = truth.vehicles[name]
-        ours = {}
+        ours, stds = {}, []
         for f in thing["frames"]:
             if on_map:
                 ours[f["frame"]] = from_map(f["longitude"], f["latitude"])
+                stds.append(f["place_std_m"][:2])
             else:
                 ours[f["frame"]] = _in_world(truth, f, poses[f["name"]], metric["scale"])[:2]
         kinds = {"tractrix": ours}
@@ -172,10 +174,11 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
         for kind, positions in kinds.items():
             errors = np.array([at - where[k][:2, 3] for k, at in positions.items()])
             total[kind].append(errors)
-            _state(f"object {thing['id']} = {name}, {kind}", errors)
+            _state(f"object {thing['id']} = {name}, {kind}", errors, stds if kind == "tractrix" else [])
+            total_stds[kind].extend(stds if kind == "tractrix" else [])
     for kind, errors in total.items():
         if errors:
-            _state(f"all, {kind}", np.concatenate(errors))
+            _state(f"all, {kind}", np.concatenate(errors), total_stds[kind])
 
 
 def compare_live(sequence: Path, run: Path) -> None:
@@ -246,12 +249,15 @@ def recall(sequence: Path, run: Path) -> None:
             print(f"{vehicle}, {mean:.0f} px: {hits} of {len(frames)} frames, {len(ids)} ids")
 
 
-def _state(what: str, errors: np.ndarray) -> None:
+def _state(what: str, errors: np.ndarray, stds: list[list[float]]) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
-    print(
-        f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m"
-    )
+    text = f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m"
+    if stds:
+        off = np.abs(errors) / np.array(stds)
+        inside = ", ".join(f"{100 * float((off <= k).mean()):.0f}" for k in (1, 2, 3))
+        text += f"; within 1, 2, 3 σ {inside} %, mean σ {float(np.mean(stds)):.2f} m"
+    print(text)
 
 
 def images(run: Path) -> dict[str, tuple[np.ndarray, np.ndarray]]:

@@ -355,6 +355,12 @@ impl Problem<'_> {
 }
 
 impl HoveringGround {
+    /// Returns true if it is the plane of a map: then its tilt, the height of the camera and the focal length move
+    /// nothing on it, and what they leave of positions is in the alignment with the map.
+    pub fn is_mapped(&self) -> bool {
+        self.sources.iter().any(|source| source.kind == TiltKind::Map)
+    }
+
     /// Height of a camera over it.
     fn height_of(&self, image: &Image) -> f64 {
         self.normal_in_world.dot(&(image.cam_from_world.center() - self.point_in_world))
@@ -402,7 +408,8 @@ impl HoveringGround {
         let height = self.height_of(image);
         let foot = lowest_foot(background, image, pixels, (&normal, height))?;
         let point = center - normal * height;
-        let height_std = (self.tilt_std * (foot - point).norm()).hypot(UNEVENNESS * height);
+        let of_tilt = if self.is_mapped() { 0.0 } else { self.tilt_std * (foot - point).norm() };
+        let height_std = of_tilt.hypot(UNEVENNESS * height);
         Some(GroundPlane {
             normal,
             point,

@@ -5,6 +5,16 @@
 //! turns of R and C ends it. The unit of such a background is the camera's height, so that C has the metres per unit,
 //! too. What the points deviate more than stated widens the covariance. A focal length that is known loosely is the one
 //! of the least sum of squares, with the curvature there as its information.
+//!
+//! Positions are where rays meet the ground, which is the plane of the map: errors of height, tilt and focal length
+//! cancel there, as those of a homography do. So the scale, north and place of the alignment are those of the
+//! similarity of the plane that is nearest to the displacements of the points by θ = (turns, C, ln f):
+//!
+//! ```text
+//! φ = (Dᵀ D)⁻¹ Dᵀ G θ,   G = ∂(points on the ground) / ∂θ,   D = ∂(points on the ground) / ∂(ln s, north, east, north)
+//! ```
+//!
+//! What no similarity explains is added to the variance of the place.
 
 use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
@@ -122,32 +132,39 @@ pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) 
     (curvature.is_finite() && std.is_finite() && factor <= MAX_DEVIATIONS).then(|| (best, std.min(prior_std)))
 }
 
-/// Places the camera; its centre is the anchor.
+/// Places the camera; the middle of the points is the anchor. The covariance is that of positions on the ground.
+///
+/// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
+/// * `focal_std` – standard deviation of that logarithm, these points included.
 ///
 /// # Errors
 /// [`MapPointsError`].
-pub fn camera_over_map(points: &[MapPoint]) -> Result<Alignment, MapPointsError> {
-    let fit = Fit::of(points)?;
+pub fn camera_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, focal_std: f64) -> Result<Alignment, MapPointsError> {
+    let points = points_at(0.0);
+    let fit = Fit::of(&points)?;
     let factor = fit.factor(0);
-    let Fit { pose, information, .. } = fit;
+    let Fit { pose, information, .. } = &fit;
     let height = pose.center.z;
     if !(height > 0.0 && factor.is_finite()) {
         return Err(MapPointsError::NoCamera);
     }
     if factor > MAX_DEVIATIONS {
-        let off_m =
-            |point: &MapPoint| pose.on_ground(point).map_or(f64::INFINITY, |at| (at - point.east_north_m).norm());
+        let off_m = |point: &MapPoint| {
+            pose.on_ground(&point.ray_in_world).map_or(f64::INFINITY, |at| (at - point.east_north_m).norm())
+        };
         let (index, off_m) = (1..).zip(points.iter().map(off_m)).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
         return Err(MapPointsError::Contradiction { index, off_m });
     }
-    let covariance = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * factor.max(1.0).powi(2);
-    let mut of_parameters = SMatrix::<f64, 7, 6>::zeros();
-    of_parameters[(0, 5)] = height.recip();
-    of_parameters.fixed_view_mut::<6, 6>(1, 0).fill_with_identity();
-    let covariance: Covariance = of_parameters * covariance * of_parameters.transpose();
+    let of_pose = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * factor.max(1.0).powi(2);
+    let middle = points.iter().map(|point| point.east_north_m).sum::<Vector2<f64>>() / points.len() as f64;
+    let refocused = points_at(FOCAL_STEP);
+    let by_focal = Fit::of(&refocused).ok().map(|fit| (fit.pose, &refocused[..]));
+    let covariance = covariance_on_ground(pose, &points, &of_pose, by_focal, focal_std, middle)
+        .ok_or(MapPointsError::TooFew(points.len()))?;
+    let metric_from_world = Sim3::new(height, pose.metric_from_world, pose.center.coords);
     Ok(Alignment {
-        metric_from_world: Sim3::new(height, pose.metric_from_world, pose.center.coords),
-        anchor_in_world: Point3::origin(),
+        metric_from_world,
+        anchor_in_world: metric_from_world.inverse() * Point3::from(middle.push(0.0)),
         covariance,
         offset_s: 0.0,
         offset_std_s: 0.0,
@@ -157,10 +174,69 @@ pub fn camera_over_map(points: &[MapPoint]) -> Result<Alignment, MapPointsError>
     })
 }
 
+/// Covariance of the similarity of the ground about the middle of the points (see above), by the points and what lies
+/// between two of them.
+///
+/// * `of_pose` – covariance of the pose at the focal length as it is.
+/// * `by_focal` – pose and points with a focal length that is longer by [`FOCAL_STEP`].
+fn covariance_on_ground(
+    pose: &Pose,
+    points: &[MapPoint],
+    of_pose: &SMatrix<f64, 6, 6>,
+    by_focal: Option<(Pose, &[MapPoint])>,
+    focal_std: f64,
+    middle: Vector2<f64>,
+) -> Option<Covariance> {
+    let mut of_parameters = SMatrix::<f64, 7, 7>::zeros();
+    of_parameters.fixed_view_mut::<6, 6>(0, 0).copy_from(of_pose);
+    of_parameters[(6, 6)] = focal_std.powi(2);
+    // Turns of the map's axes by the parameters.
+    let mut turns = SMatrix::<f64, 3, 7>::zeros();
+    turns.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
+    if let Some((moved, _)) = &by_focal {
+        let turn = (moved.metric_from_world * pose.metric_from_world.inverse()).scaled_axis() / FOCAL_STEP;
+        turns.set_column(6, &turn);
+    }
+    let moved: [Pose; 6] = std::array::from_fn(|j| pose.moved(&SVector::ith(j, STEP)));
+    let between = |points: &[MapPoint], (j, k): (usize, usize)| points[j].ray_in_world + points[k].ray_in_world;
+    let displacement = |pair: (usize, usize)| {
+        let ray = between(points, pair);
+        let here = pose.on_ground(&ray)?;
+        let mut by = SMatrix::<f64, 2, 7>::zeros();
+        for (j, pose) in moved.iter().enumerate() {
+            by.set_column(j, &((pose.on_ground(&ray)? - here) / STEP));
+        }
+        if let Some((pose, points)) = &by_focal {
+            by.set_column(6, &((pose.on_ground(&between(points, pair))? - here) / FOCAL_STEP));
+        }
+        let [x, y] = (here - middle).into();
+        Some((by, SMatrix::<f64, 2, 4>::new(x, -y, 1.0, 0.0, y, x, 0.0, 1.0)))
+    };
+    let pairs = (0..points.len()).flat_map(|j| (j..points.len()).map(move |k| (j, k)));
+    let rows: Vec<_> = pairs.map(displacement).collect::<Option<_>>()?;
+    let normal_equations: SMatrix<f64, 4, 4> = rows.iter().map(|(_, similarity)| similarity.tr_mul(similarity)).sum();
+    let right_side: SMatrix<f64, 4, 7> = rows.iter().map(|(by, similarity)| similarity.tr_mul(by)).sum();
+    let by_similarity = normal_equations.try_inverse()? * right_side;
+    let unexplained = |(by, similarity): &(SMatrix<f64, 2, 7>, SMatrix<f64, 2, 4>)| {
+        let rest = by - similarity * by_similarity;
+        (rest * of_parameters * rest.transpose()).trace()
+    };
+    let variance = rows.iter().map(unexplained).sum::<f64>() / (2 * rows.len()) as f64;
+    let mut by_parameters = SMatrix::<f64, 7, 7>::zeros();
+    by_parameters.set_row(0, &by_similarity.row(0));
+    by_parameters.fixed_view_mut::<2, 7>(1, 0).copy_from(&turns.fixed_rows::<2>(0));
+    by_parameters.fixed_view_mut::<3, 7>(3, 0).copy_from(&by_similarity.fixed_rows::<3>(1));
+    let mut covariance = by_parameters * of_parameters * by_parameters.transpose();
+    (4..6).for_each(|k| covariance[(k, k)] += variance);
+    Some(covariance)
+}
+
 /// From the homography, which is right but for noise: quadratic convergence.
 const ROUNDS: usize = 12;
 /// Step of the derivatives, radians and metres.
 const STEP: f64 = 1e-6;
+/// Step of that by the logarithm of the focal length: a fit ends within a hundred millionth.
+const FOCAL_STEP: f64 = 1e-3;
 
 /// Camera over the map.
 struct Pose {
@@ -193,9 +269,9 @@ impl Pose {
         point.ray_std.powi(2) + (point.std_m / self.way(point).norm()).powi(2)
     }
 
-    /// Position at which the camera sees a point on the ground.
-    fn on_ground(&self, point: &MapPoint) -> Option<Vector2<f64>> {
-        let ray = self.metric_from_world * point.ray_in_world;
+    /// Position at which a ray meets the ground.
+    fn on_ground(&self, ray_in_world: &Vector3<f64>) -> Option<Vector2<f64>> {
+        let ray = self.metric_from_world * ray_in_world;
         (ray.z < 0.0).then(|| (self.center.coords - ray * (self.center.z / ray.z)).xy())
     }
 }
@@ -251,24 +327,63 @@ mod tests {
         (GROUND[..num].iter().map(point).collect(), rotation, center)
     }
 
+    /// The points as a camera sees them whose focal length is taken for a share of the true one.
+    fn zoomed(points: &[MapPoint], log_focal: f64) -> Vec<MapPoint> {
+        let axis = metric_from_cam(0.1, -0.7, 0.02).inverse() * Vector3::new(0.1, 1.0, -0.84);
+        let axis = axis.normalize();
+        let ray = |u: Vector3<f64>| {
+            let along = axis * axis.dot(&u);
+            (along + (u - along) / log_focal.exp()).normalize()
+        };
+        points.iter().map(|point| MapPoint { ray_in_world: ray(point.ray_in_world), ..*point }).collect()
+    }
+
     #[test]
-    fn four_points_place_the_camera_within_its_deviations() {
-        let (mut inside, mut all) = (0, 0);
-        for seed in 0..40 {
-            let (points, rotation, center) = points(5, 0.3, seed);
-            let found = camera_over_map(&points).unwrap();
-            let off = Point3::from(found.metric_from_world.translation) - center;
-            let turn = (found.metric_from_world.rotation * rotation.inverse()).scaled_axis();
-            let scale = (found.metric_from_world.scale / center.z).ln();
-            let errors = [scale, turn.x, turn.y, turn.z, off.x, off.y, off.z];
-            let within =
-                errors.iter().enumerate().filter(|(k, e)| e.abs() <= found.covariance[(*k, *k)].sqrt()).count();
-            (inside, all) = (inside + within, all + errors.len());
+    fn positions_on_the_ground_are_within_their_deviations() {
+        const SEEN: [[f64; 2]; 4] = [[-10.0, 40.0], [15.0, 70.0], [0.0, 30.0], [-20.0, 75.0]];
+        // The same camera with a focal length that is known, and with one that points and ±15 % beforehand show.
+        for prior_std in [0.0, 0.15] {
+            let (mut inside, mut all, mut largest_std) = ([0, 0], 0, 0.0f64);
+            for seed in 0..60 {
+                let (points, _, center) = points(5, 0.3, seed);
+                let error = prior_std * (f64::from(seed as u32 % 7) - 3.0) / 2.0;
+                let at = |log: f64| zoomed(&points, log + error);
+                let (log_focal, std) = match prior_std > 0.0 {
+                    true => focal_over_map(at, prior_std).unwrap(),
+                    false => (0.0, 0.0),
+                };
+                let found = camera_over_map(|log| at(log_focal + log), std).unwrap();
+                for [east, north] in SEEN {
+                    let truth = Vector3::new(east, north, 0.0);
+                    let ray = metric_from_cam(0.1, -0.7, 0.02).inverse() * (truth - center.coords);
+                    let point = MapPoint { ray_in_world: ray.normalize(), ..points[0] };
+                    let [seen] = zoomed(&[point], log_focal + error)[..] else { unreachable!() };
+                    let Sim3 { rotation, translation, .. } = found.metric_from_world;
+                    let pose = Pose { metric_from_world: rotation, center: Point3::from(translation) };
+                    let place = pose.on_ground(&seen.ray_in_world).unwrap().push(0.0);
+                    let in_world = found.metric_from_world.inverse() * Point3::from(place);
+                    let covariance = found.place_covariance(in_world);
+                    for k in 0..2 {
+                        let off = (place - truth)[k].abs() / covariance[(k, k)].sqrt();
+                        inside[0] += i32::from(off <= 1.0);
+                        inside[1] += i32::from(off <= 2.0);
+                        all += 1;
+                        largest_std = largest_std.max(covariance[(k, k)].sqrt());
+                    }
+                }
+            }
+            let [one, two] = inside.map(|inside| f64::from(inside) / f64::from(all));
+            // Points that fit better than stated narrow nothing.
+            assert!((0.6..0.9).contains(&one) && two > 0.93, "{prior_std}: {one} {two}");
+            // Each alone, the height of the camera and its inclination would move them by a metre.
+            assert!(largest_std < 0.8, "{largest_std}");
         }
-        let share = f64::from(inside as u32) / f64::from(all as u32);
-        assert!((0.6..0.85).contains(&share), "{share}");
+    }
+
+    #[test]
+    fn four_points_place_the_camera() {
         let (points, rotation, center) = points(4, 0.0, 0);
-        let found = camera_over_map(&points).unwrap();
+        let found = camera_over_map(|_| points.clone(), 0.0).unwrap();
         assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
         assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
     }
@@ -278,16 +393,7 @@ mod tests {
         let mut inside = 0;
         for seed in 0..40 {
             let (points, ..) = points(5, 0.3, seed);
-            let axis = points.iter().map(|point| point.ray_in_world).sum::<Vector3<f64>>().normalize();
-            // As a camera sees them whose focal length is taken for a share of the true one.
-            let at = |log: f64| -> Vec<MapPoint> {
-                let ray = |u: Vector3<f64>| {
-                    let along = axis * axis.dot(&u);
-                    (along + (u - along) / (log - 0.3f64).exp()).normalize()
-                };
-                points.iter().map(|point| MapPoint { ray_in_world: ray(point.ray_in_world), ..*point }).collect()
-            };
-            let (found, std) = focal_over_map(at, 0.4).unwrap();
+            let (found, std) = focal_over_map(|log| zoomed(&points, log - 0.3), 0.4).unwrap();
             assert!(std < 0.1 && (found - 0.3).abs() < 4.0 * std, "{found} {std}");
             inside += i32::from((found - 0.3).abs() <= std);
         }
@@ -297,16 +403,17 @@ mod tests {
     #[test]
     fn points_that_place_no_camera_are_refused() {
         let (all, ..) = points(5, 0.0, 0);
-        assert!(matches!(camera_over_map(&all[..3]), Err(MapPointsError::TooFew(3))));
-        assert!(camera_over_map(&[]).is_err());
+        let camera = |points: &[MapPoint]| camera_over_map(|_| points.to_vec(), 0.0);
+        assert!(matches!(camera(&all[..3]), Err(MapPointsError::TooFew(3))));
+        assert!(camera(&[]).is_err());
         let swapped = |point: &MapPoint| MapPoint { east_north_m: point.east_north_m.yx(), ..*point };
         let mirrored: Vec<MapPoint> = all.iter().map(swapped).collect();
-        assert_eq!(camera_over_map(&mirrored), Err(MapPointsError::NoCamera));
+        assert_eq!(camera(&mirrored), Err(MapPointsError::NoCamera));
         let mut one_off = all.clone();
         one_off[4].east_north_m.x += 8.0;
-        assert!(matches!(camera_over_map(&one_off), Err(MapPointsError::Contradiction { index: 5, .. })));
+        assert!(matches!(camera(&one_off), Err(MapPointsError::Contradiction { index: 5, .. })));
         let line: Vec<MapPoint> =
             (0..4).map(|k| MapPoint { east_north_m: Vector2::new(0.0, 9.0 * f64::from(k)), ..all[0] }).collect();
-        assert!(camera_over_map(&line).is_err());
+        assert!(camera(&line).is_err());
     }
 }

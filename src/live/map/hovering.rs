@@ -130,7 +130,7 @@ impl Mapper {
         };
         let HoveringCamera { rotations, camera, focal_std, sway } = found.ok_or(NoMap::Inclination)?;
         let poses = rotations.model(table, &camera);
-        let on_map = on_map_points(&metric, &poses).map_err(|error| NoMap::MapPoints(error.to_string()))?;
+        let on_map = on_map_points(&metric, &poses, focal_std).map_err(|error| NoMap::MapPoints(error.to_string()))?;
         let log = self.georeferencer.as_ref();
         let station = log.and_then(|log| log.station(&poses, &snapshot.frames, &metric).ok());
         let vertical = station.as_ref().and_then(Station::vertical);

@@ -105,6 +105,7 @@ pub(super) struct WorldMap {
     /// The same without images.
     pub(super) local: Reconstruction,
     pub(super) camera: Camera,
+    /// Standard deviation of the focal length as a share of it; `None` where positions do not depend on it.
     pub(super) focal_std: Option<f64>,
     /// True if it is in the frame of the map before.
     pub(super) is_continued: bool,
@@ -152,6 +153,10 @@ pub(super) struct Ground {
 }
 
 impl Ground {
+    fn is_mapped(&self) -> bool {
+        self.hovering.as_ref().is_some_and(HoveringGround::is_mapped)
+    }
+
     /// The planes below an object in the images of a model.
     pub(super) fn planes(
         &self,
@@ -309,7 +314,7 @@ impl Mapper {
             model,
             local,
             camera,
-            focal_std,
+            focal_std: focal_std.filter(|_| !ground.is_mapped()),
             is_continued,
             ground,
             frame,

@@ -19,6 +19,7 @@ use crate::metric::{
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::stages::background::focal_deviation;
 use crate::pipeline::{MetricOptions, PipelineError};
 use crate::scene::{Frame, FrameId, Reconstruction};
 use crate::telemetry::{Fix, Geodetic, Heights, LocalFixes, LocalFrame};
@@ -64,7 +65,8 @@ pub(in crate::pipeline) fn tilts(
         attitude::vertical(run, &frames, &log, &mut Outcome::default()).or_else(of_gimbal)
     });
     let metric = &run.options.metric;
-    Ok(stated_tilts(background, metric, sway, vertical, on_map_points(metric, background)?.as_ref()))
+    let on_map = on_map_points(metric, background, focal_deviation(run)?.unwrap_or(0.0))?;
+    Ok(stated_tilts(background, metric, sway, vertical, on_map.as_ref()))
 }
 
 /// Tilts of the ground against the camera of the first image.
@@ -368,14 +370,21 @@ impl Survey {
 
 /// The camera over the points of a map that are given; `None` without any.
 ///
+/// * `focal_std` – standard deviation of the focal length as a share of it.
+///
 /// # Errors
 /// [`PipelineError::Options`] where they place no camera.
-pub fn on_map_points(options: &MetricOptions, background: &Reconstruction) -> Result<Option<OnMap>, PipelineError> {
+pub fn on_map_points(
+    options: &MetricOptions,
+    background: &Reconstruction,
+    focal_std: f64,
+) -> Result<Option<OnMap>, PipelineError> {
     let Some(path) = &options.map_points else { return Ok(None) };
     let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
     let survey = Survey::read(path)?;
-    let points = survey.points(background, 0.0).map_err(wrong)?;
-    let alignment = camera_over_map(&points).map_err(|error| wrong(error.to_string()))?;
+    survey.points(background, 0.0).map_err(wrong)?;
+    let points_at = |log_focal| survey.points(background, log_focal).unwrap_or_default();
+    let alignment = camera_over_map(points_at, focal_std).map_err(|error| wrong(error.to_string()))?;
     Ok(Some(OnMap { alignment, map: survey.map, knows_height: survey.knows_height }))
 }
 

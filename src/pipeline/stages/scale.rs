@@ -106,6 +106,7 @@ struct Scene<'a, 'r> {
     background: &'a Reconstruction,
     ground: Ground,
     frames: &'a [Frame],
+    /// Standard deviation of the focal length as a share of it; `None` where positions do not depend on it.
     focal_std: Option<f64>,
     /// Outlines of all objects that may get a position.
     outlines: Outlines,
@@ -134,12 +135,14 @@ impl<'a, 'r> Scene<'a, 'r> {
         let frames = run.frames()?;
         let has_model = |id| reports.get(&id).is_some_and(|report| report.failure.is_none());
         let wanted = tracked.iter().filter(|object| object.left_out.is_none() || has_model(object.id));
+        let hovering = ground::sources(run)?.hovering;
+        let is_mapped = hovering.is_some_and(|ground| ground.is_mapped());
         Ok(Self {
             run,
             background,
             ground: ground::ground(run)?,
             frames,
-            focal_std: background::focal_deviation(run)?,
+            focal_std: background::focal_deviation(run)?.filter(|_| !is_mapped),
             outlines: outlines(run, frames, wanted.cloned().collect())?,
             by_points: track::movement::by_points(run)?,
         })

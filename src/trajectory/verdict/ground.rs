@@ -9,6 +9,9 @@ use crate::scene::ReasonKind::Ground;
 const FLOATS: [f64; 2] = [0.6, 0.75];
 /// Depth of its lowest points below the ground, likewise.
 const SINKS: [f64; 2] = [0.25, 0.6];
+/// Standard deviations of the ground's height that are no finding: a vehicle of 1.5 m below a drone at 100 m, whose
+/// ground is known to a meter, may seem to float by as much as it is high.
+const UNSURE: f64 = 2.0;
 /// Spread of its height over the ground from frame to frame, as a share of the height of its top.
 const WANDERS: [f64; 2] = [0.08, 0.5];
 
@@ -17,28 +20,36 @@ pub(super) fn reasons(measures: &Measures, level: Option<f64>) -> Vec<Reason> {
     let Some(height) = measures.height else {
         return vec![Reason::doubts(Ground, 1.0, "no ground plane below it in any frame")];
     };
+    let unsure = UNSURE * measures.ground_std;
     if !(height > 0.0) {
-        return vec![Reason::refutes(Ground, "all of its points are below the ground")];
+        let says = "all of its points are below the ground";
+        let is_refuted = !(height > -unsure);
+        return vec![if is_refuted { Reason::refutes(Ground, says) } else { Reason::doubts(Ground, 1.0, says) }];
     }
     let stands = match level {
         Some(level) => Some(levelled(level / height)),
-        None => measures.bottom.and_then(|bottom| stands(bottom / height)),
+        None => measures.bottom.and_then(|bottom| stands(bottom / height, unsure / height)),
     };
     let stays = spread(&measures.middles).and_then(|spread| stays(spread / height));
     [stands, stays].into_iter().flatten().collect()
 }
 
 /// * `bottom` – height of its lowest points, in heights of its top.
-fn stands(bottom: f64) -> Option<Reason> {
+/// * `unsure` – by how much that may be otherwise.
+fn stands(bottom: f64, unsure: f64) -> Option<Reason> {
     let floats = || format!("floats: lowest points {} of its height above the ground", percent(bottom));
     let sinks = || format!("sinks: lowest points {} of its height below the ground", percent(-bottom));
-    match bottom {
+    // As far towards the ground as it may be.
+    match bottom.signum() * (bottom.abs() - unsure).max(0.0) {
         b if !b.is_finite() => None,
         b if b > FLOATS[1] => Some(Reason::refutes(Ground, floats())),
         b if b > FLOATS[0] => Some(Reason::doubts(Ground, 1.0, floats())),
         b if b < -SINKS[1] => Some(Reason::refutes(Ground, sinks())),
         b if b < -SINKS[0] => Some(Reason::doubts(Ground, 1.0, sinks())),
-        b => Some(Reason::supports(Ground, format!("on the ground: lowest points at {} of its height", percent(b)))),
+        _ => {
+            let says = format!("on the ground: lowest points at {} of its height", percent(bottom));
+            Some(Reason::supports(Ground, says))
+        }
     }
 }
 

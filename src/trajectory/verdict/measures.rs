@@ -31,6 +31,8 @@ pub(super) struct Measures {
     pub(super) height: Option<f64>,
     /// Height of its bottom over the ground, likewise.
     pub(super) bottom: Option<f64>,
+    /// Standard deviation of the planes' height that all frames share: the median.
+    pub(super) ground_std: f64,
     /// Height of its middle over the ground, frame by frame in order of time, where the plane can tell.
     pub(super) middles: Vec<f64>,
     /// Longest extent: twice the distance within which nearly all points lie from their middle.
@@ -80,6 +82,7 @@ impl Measures {
         Self {
             height,
             bottom: median(column(0)),
+            ground_std: ground_std(candidate),
             middles: middles(candidate, &over_ground, height.unwrap_or(0.0)),
             length: length(&points).map(|length| length * candidate.trajectory.scale.ratio),
             stretch: length(&points).and_then(|length| stretch(object, length)),
@@ -116,6 +119,11 @@ fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [
         Some((pose.frame, [bottom?, middle?, top?]))
     };
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
+}
+
+fn ground_std(candidate: &Candidate) -> f64 {
+    let planes = candidate.trajectory.poses.iter().filter_map(|pose| candidate.planes.get(&pose.frame));
+    median(planes.map(|plane| plane.common_height_std).filter(|std| std.is_finite()).collect()).unwrap_or(0.0)
 }
 
 /// Height of a vehicle's bottom over a plane; `None` without points.

@@ -123,6 +123,17 @@ fn a_wrong_ratio_floats_or_sinks() {
     }
 }
 
+#[test]
+fn an_unsure_ground_says_less_of_a_vehicle_that_floats() {
+    for (share_of_height, is_refuted) in [(0.01, true), (1.0, false)] {
+        let mut floating = car(1, 0.6, &usual());
+        let std = share_of_height * height(&floating);
+        floating.world.planes.values_mut().for_each(|plane| plane.common_height_std = std);
+        let verdict = judge(&[floating]).remove(0);
+        assert_eq!(finding(&verdict, ReasonKind::Ground) == Some(Finding::Refutes), is_refuted, "{verdict:#?}");
+    }
+}
+
 /// As the patch at the horizon of a clip from the air that a detector took for a car: static, 17 points, a small
 /// deviation, and a path that is nothing but noise.
 #[test]

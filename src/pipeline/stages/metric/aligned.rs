@@ -1,5 +1,6 @@
 //! The camera's path on the fixes of the telemetry.
 
+use super::super::background;
 use super::sources::{Ground, MAX_TILT};
 use crate::metric::{self, Alignment, Gravity, Offset, Orientation, Refusal, Source, Support};
 use crate::pipeline::PipelineError;
@@ -85,12 +86,13 @@ pub(super) fn hovering(
     telemetry: Option<&Telemetry>,
     outcome: &mut Outcome,
 ) -> Result<(Option<Aligned>, Option<Source>), PipelineError> {
-    let of_map =
-        hovering::on_map_points(&run.options.metric, background)?.map(|OnMap { alignment, map, knows_height }| {
-            describe(&alignment, outcome);
-            let source = Some(source("map points", metric::Kind::Surveyed, &alignment));
-            Aligned { alignment, map, knows_height, source, clock_offset_s: None }
-        });
+    let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
+    let of_map = hovering::on_map_points(&run.options.metric, background, focal_std)?;
+    let of_map = of_map.map(|OnMap { alignment, map, knows_height }| {
+        describe(&alignment, outcome);
+        let source = Some(source("map points", metric::Kind::Surveyed, &alignment));
+        Aligned { alignment, map, knows_height, source, clock_offset_s: None }
+    });
     let station = telemetry.and_then(|log| match hovering::station(run, background, log) {
         Ok(station) => Some(station),
         Err(reason) => {
