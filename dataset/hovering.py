@@ -27,6 +27,8 @@ GIMBAL_STD, RECEIVER_STD, HEIGHT_STD, MAP_STD, PIXEL_STD = (3.0, 0.7, 0.5), 2.0,
 PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
 # Height above the ground at which vehicles are seen, metres: half of a car's.
 MIDDLE_M = 0.7
+# Distance within which positions are those of a true vehicle, metres.
+NEAR_M = 8.0
 
 
 @dataclass
@@ -179,13 +181,33 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
     for kind, errors in total.items():
         if errors:
             _state(f"all, {kind}", np.concatenate(errors), total_stds[kind])
+    if on_map:
+        compare_ground_tracks(truth, content["ground_tracks"])
+
+
+def compare_ground_tracks(truth: Truth, tracks: list[dict]) -> None:
+    """Prints the errors of the positions of ground tracks that are near a driven vehicle."""
+    total, total_stds = [], []
+    for track in tracks:
+        places = {f["frame"]: from_map(f["longitude"], f["latitude"]) for f in track["frames"]}
+        offs = {
+            name: np.array([at - poses[k][:2, 3] for k, at in places.items()]) for name, poses in truth.vehicles.items()
+        }
+        name = min(offs, key=lambda name: float(np.median(np.linalg.norm(offs[name], axis=1))))
+        if np.median(np.linalg.norm(offs[name], axis=1)) <= NEAR_M:
+            stds = [f["place_std_m"][:2] for f in track["frames"]]
+            _state(f"ground track {track['id']} = {name}", offs[name], stds)
+            total.append(offs[name])
+            total_stds.extend(stds)
+    if total:
+        _state("all ground tracks", np.concatenate(total), total_stds)
 
 
 def compare_live(sequence: Path, run: Path) -> None:
     """Prints the errors of the positions on the map of a live run, by state and method, of the vehicles that move."""
     truth = Truth.read(sequence)
-    # Those that stand are no part of the truth: a vehicle is one that leaves its place by this, and is near a true one.
-    moved_m, near_m = 8.0, 8.0
+    # Those that stand are no part of the truth: a vehicle is one that leaves its place by this.
+    moved_m = 8.0
     tracks: dict[int, list[tuple[np.ndarray, dict]]] = {}
     for line in map(json.loads, (run / "live.jsonl").read_text().splitlines()):
         if line["kind"] == "vehicle" and line["geo"] is not None:
@@ -202,7 +224,7 @@ def compare_live(sequence: Path, run: Path) -> None:
             for poses in truth.vehicles.values()
         ]
         off = min(offs, key=np.median)
-        if not has_moved or np.median(off) > near_m:
+        if not has_moved or np.median(off) > NEAR_M:
             others += 1
             continue
         for error, (_, line) in zip(off, track, strict=True):

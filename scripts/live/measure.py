@@ -270,6 +270,7 @@ class Truth:
         poses: dict[int, tuple[Array, Array]],
         positions: dict[int, Array],
         covariances: dict[int, list[float]] | None = None,
+        is_on_ground: bool = False,
     ) -> dict[str, Any] | None:
         """Errors of positions in a frame of their own, and how many are within the stated standard deviations."""
         if len(poses) < 5 or not positions:
@@ -277,6 +278,8 @@ class Truth:
         scale, turn, shift = self.register(poses)
         places, deviations = [], []
         middle = 0.5 * (self.mesh.max(0) + self.mesh.min(0))
+        if is_on_ground:
+            middle[2] = self.mesh[:, 2].min()
         for k, position in positions.items():
             world = scale * turn @ position + shift
             body = np.linalg.inv(self.objects[k])
@@ -293,7 +296,7 @@ class Truth:
         return {
             "frames": len(positions),
             "scale": round(scale, 4),
-            # From the middle of the vehicle, which contact points and models are not exactly; and about their mean.
+            # From the middle of the vehicle, of positions on the ground from the point below it; and about their mean.
             "offset_m": [round(float(x), 2) for x in off.mean(0)],
             "error_m": round(float(np.linalg.norm(off[:, :2], axis=1).mean()), 3),
             "spread_m": round(float(np.sqrt((spread**2).mean())), 3),
@@ -363,9 +366,10 @@ def nearest_track(
     tracks: dict[int, dict[int, Array]],
     poses: dict[int, tuple[Array, Array]],
     covariances: dict[int, dict[int, list[float]]],
+    is_on_ground: bool,
 ) -> Any:
     """The errors of the longest track that is near the true vehicle."""
-    found = [truth.errors(poses, track, covariances.get(number)) for number, track in tracks.items()]
+    found = [truth.errors(poses, track, covariances.get(number), is_on_ground) for number, track in tracks.items()]
     near = [errors for errors in found if errors and errors["frames"] >= 5 and errors["error_m"] < NEAR_M]
     return max(near, key=lambda errors: errors["frames"], default=None)
 
@@ -378,11 +382,11 @@ def of_live(truth: Truth, live: Live, state: str, method: str | None) -> Any:
     tracks: dict[int, dict[int, Array]] = {}
     covariances: dict[int, dict[int, list[float]]] = {}
     for _, line in live.of("vehicle", state):
-        is_wanted = line["method"] == method if method else line["method"] in ("corrected-contact", "model")
+        is_wanted = line["method"] == method if method else line["method"] is not None
         if is_wanted and line["frame"] in poses:
             tracks.setdefault(line["id"], {})[line["frame"]] = np.array(line["position"])
             covariances.setdefault(line["id"], {})[line["frame"]] = line["covariance"]
-    return nearest_track(truth, tracks, poses, covariances)
+    return nearest_track(truth, tracks, poses, covariances, method == "ground-contact")
 
 
 def of_batch(truth: Truth, out: Path) -> Any:
@@ -400,7 +404,7 @@ def of_batch(truth: Truth, out: Path) -> Any:
             entry["id"]: {pose["frame"]: np.array(pose["position"]) for pose in entry["frames"]}
             for entry in found.get(key, [])
         }
-        result[key] = nearest_track(truth, tracks, poses, {})
+        result[key] = nearest_track(truth, tracks, poses, {}, key == "ground_tracks")
     return result
 
 
@@ -428,7 +432,7 @@ def main() -> None:
         if args.fixes:
             result["georeferenced"] = of_geo(truth, live)
         for state in ("provisional", "final"):
-            for method in ("ground-contact", "corrected-contact", "model", None):
+            for method in ("ground-contact", "model", None):
                 result[f"{state}, {method or 'all'}"] = of_live(truth, live, state, method)
         if args.batch:
             result["batch"] = of_batch(truth, args.batch)

@@ -42,8 +42,6 @@ pub enum PositionMethod {
     GroundContact,
     /// Of the center of the 3D model.
     Model,
-    /// Of the contact point with the ground, moved to the center of the 3D model by their offset in frames nearby.
-    CorrectedContact,
 }
 
 /// Motion state of a vehicle.

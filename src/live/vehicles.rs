@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use ::image::RgbImage;
-use nalgebra::{Matrix3, Point2, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3};
 
 use super::LiveError;
 use super::WINDOW_S;
@@ -16,12 +16,11 @@ use super::models::{Model, Request, Subject};
 use super::perception::{Identity, Outlined};
 use crate::camera::Camera;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
-use crate::math::median;
 use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::Options;
 use crate::scene::{
-    ContactError, Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, ObjectImage,
-    Reconstruction, Rect,
+    Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, ObjectImage, Reconstruction,
+    Rect,
 };
 use crate::tracking::TrackedMask;
 use crate::tracking::merging::{Pair, same};
@@ -38,9 +37,6 @@ const PAST_STEP_S: f64 = 0.28;
 const WALKING_M_S: f64 = 1.4;
 /// Standard deviations by which the speed of a stationary vehicle is below that.
 const RESTS: f64 = 2.0;
-/// Frames nearby whose offset from the contact point to the center of the model is averaged: a second at 10 Hz, in
-/// which the direction of sight hardly changes.
-const NUM_OFFSETS: usize = 10;
 /// Standard deviations from zero beyond which a speed has a direction.
 const MOVES: f64 = 3.0;
 /// Views of a vehicle's tracks at which those outside the window are dropped.
@@ -66,21 +62,12 @@ struct Vehicle {
     rects: BTreeMap<FrameId, Rect>,
     /// In the frame of the last map.
     positions: Positions,
-    /// From the contact point to the center of the model: along the horizontal line of sight, to the left of it and up,
-    /// in the local frame.
-    offsets: BTreeMap<FrameId, Offset>,
+    /// True if the local frame has a model of it.
+    has_model: bool,
     /// Tracks of its points.
     points: Option<VideoFrontEnd>,
     /// Id of the lost vehicle that it is; decided when it is confirmed.
     merged: Option<ObjectId>,
-}
-
-/// Offset of the center of a model from the contact point.
-#[derive(Clone, Copy)]
-struct Offset {
-    time_s: f64,
-    vector: Vector3<f64>,
-    log_ratio_std: f64,
 }
 
 /// All vehicles of the window.
@@ -183,7 +170,6 @@ impl Vehicles {
         for vehicle in self.vehicles.values_mut() {
             vehicle.rects = vehicle.rects.split_off(&first);
             vehicle.positions = vehicle.positions.split_off(&first);
-            vehicle.offsets = vehicle.offsets.split_off(&first);
         }
         self.vehicles.retain(|_, vehicle| !vehicle.rects.is_empty());
         for outlines in self.outlines.values_mut() {
@@ -234,7 +220,7 @@ impl Vehicles {
             let Some(vehicle) = self.vehicles.get_mut(&id) else { continue };
             if !map.is_continued {
                 vehicle.positions.clear();
-                vehicle.offsets.clear();
+                vehicle.has_model = false;
             }
             vehicle.positions.extend(contacts.positions.into_iter().map(|position| (position.frame, position)));
         }
@@ -262,7 +248,7 @@ impl Vehicles {
 
     /// Number of vehicles of which the local frame has a model.
     pub(super) fn num_models(&self) -> usize {
-        self.vehicles.values().filter(|vehicle| !vehicle.offsets.is_empty()).count()
+        self.vehicles.values().filter(|vehicle| vehicle.has_model).count()
     }
 
     /// Gives the frames that become final with a map, and their positions.
@@ -289,9 +275,7 @@ impl Vehicles {
         for (id, vehicle) in &mut self.vehicles {
             let Some(positions) = positions.get(id) else { continue };
             let model = models.get(id);
-            if let Some(model) = model {
-                vehicle.offsets = offsets(map, model, positions);
-            }
+            vehicle.has_model |= model.is_some();
             let by_contact = motions(map, positions.values());
             let by_model = model.map(|model| model_motions(map, model)).unwrap_or_default();
             for frame in &leaving {
@@ -350,32 +334,6 @@ impl Vehicle {
         chosen
     }
 
-    /// The center of the vehicle in a frame without its model, by the contact point and the offset in frames nearby;
-    /// `None` where no model was made.
-    fn corrected(&self, map: &WorldMap, position: &GroundPosition) -> Option<Placed> {
-        let mut near: Vec<&Offset> = self.offsets.values().collect();
-        near.sort_by(|a, b| (a.time_s - position.time_s).abs().total_cmp(&(b.time_s - position.time_s).abs()));
-        near.truncate(NUM_OFFSETS);
-        let of_axis = |axis: usize| median(near.iter().map(|offset| offset.vector[axis]).collect());
-        let offset = Vector3::new(of_axis(0)?, of_axis(1)?, of_axis(2)?);
-        let metric_from_world = map.frame.metric_from_world();
-        let contact = metric_from_world * Point3::from(position.position);
-        let axes = sight_axes(&(contact - metric_from_world * center(map, position.frame)?))?;
-        // What contact points and model have in common is in the offset.
-        let error = ContactError { common: [0.0; 3], ..position.error };
-        let moved = metric_from_world.inverse() * (contact + axes * offset);
-        let log_ratio_std = near.iter().map(|offset| offset.log_ratio_std).fold(0.0, f64::max);
-        let mut found = placed_at(map, position.frame, moved, &error.covariance(), log_ratio_std)?;
-        let spread = near.iter().map(|near| (near.vector - offset).norm_squared()).sum::<f64>() / near.len() as f64;
-        let variance = spread / 3.0;
-        [0, 3, 5].into_iter().for_each(|diagonal| found.covariance[diagonal] += variance);
-        if let Some(geo) = &mut found.geo {
-            geo.horizontal_std = geo.horizontal_std.hypot((2.0 * variance).sqrt());
-            geo.vertical_std = geo.vertical_std.map(|std| std.hypot(variance.sqrt()));
-        }
-        Some(found)
-    }
-
     /// The line of a confirmed vehicle.
     ///
     /// * `contacts` – a map, and the contact points in it.
@@ -389,11 +347,7 @@ impl Vehicle {
         let Seen { frame, rect, decoded } = seen;
         let Identity { id, class, confidence, .. } = self.identity.clone()?;
         let map = contacts.map(|(map, _)| map);
-        let contact = contacts.and_then(|(map, positions)| Some((map, positions.get(&frame.id)?)));
-        let corrected = contact.and_then(|(map, position)| self.corrected(map, position));
-        let corrected = corrected.map(|found| (found, PositionMethod::CorrectedContact));
-        let by_contact = || contact.and_then(|(map, position)| placed(map, position));
-        let placed = corrected.or_else(|| Some((by_contact()?, PositionMethod::GroundContact)));
+        let placed = contacts.and_then(|(map, positions)| placed(map, positions.get(&frame.id)?));
         let moves = motion.filter(|motion| motion.speed_m_s.abs() > MOVES * motion.speed_std_m_s);
         let heading = moves.and_then(|motion| motion.heading_deg);
         let velocity = motion.map(|motion| {
@@ -425,7 +379,7 @@ impl Vehicle {
             lag_s: decoded.map_or(0.0, |decoded| rounded(decoded.elapsed().as_secs_f64())),
         };
         Some(match placed.zip(map) {
-            Some(((found, method), map)) => line.at(found, method, map),
+            Some((found, map)) => line.at(found, PositionMethod::GroundContact, map),
             None => line,
         })
     }
@@ -455,24 +409,6 @@ fn motion_state(motion: &Motion, is_metric: bool) -> Option<MotionState> {
         (false, true) => Some(MotionState::Moving),
         (false, false) => None,
     }
-}
-
-/// Offsets from the contact points to the centers of a model, in the frames that have both.
-fn offsets(map: &WorldMap, model: &Model, positions: &Positions) -> BTreeMap<FrameId, Offset> {
-    let metric_from_world = map.frame.metric_from_world();
-    let offset = |(&frame, position): (&FrameId, &GroundPosition)| {
-        let contact = metric_from_world * Point3::from(position.position);
-        let axes = sight_axes(&(contact - metric_from_world * center(map, frame)?))?;
-        let vector = axes.transpose() * (metric_from_world * model.position(frame)? - contact);
-        Some((frame, Offset { time_s: position.time_s, vector, log_ratio_std: model.log_ratio_std() }))
-    };
-    positions.iter().filter_map(offset).collect()
-}
-
-/// The horizontal direction of a line of sight, that to the left of it, and up; `None` for a vertical one.
-fn sight_axes(sight: &Vector3<f64>) -> Option<Matrix3<f64>> {
-    let ahead = Vector3::new(sight.x, sight.y, 0.0).try_normalize(1e-9)?;
-    Some(Matrix3::from_columns(&[ahead, Vector3::new(-ahead.y, ahead.x, 0.0), Vector3::z()]))
 }
 
 /// Four digits after the point: a tenth of a millimeter.

@@ -72,7 +72,7 @@ impl ContactError {
     }
 }
 
-/// Contact point of a vehicle with the ground in one frame.
+/// Contact point of a vehicle in one frame: the middle of its footprint on the ground.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundPosition {
     /// The frame.

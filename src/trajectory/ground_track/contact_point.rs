@@ -1,7 +1,9 @@
-//! The contact point of one mask, with its error.
+//! The middle of a vehicle's footprint by one mask, with its error: half of the footprint's depth behind the contact
+//! with the ground on the camera's side.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 
+use super::footprint;
 use crate::camera::Camera;
 use crate::math::Rigid3;
 use crate::scene::{ContactError, GroundPlane, NoContact};
@@ -15,9 +17,6 @@ const EDGE: f64 = 0.01;
 /// same sequences 1 to 2 px at 100 to 150 px.
 const BIAS_PX: f64 = 1.0;
 const BIAS: f64 = 0.02;
-/// Change of the contact point against the vehicle while its view changes, as a share of its visible width: half of
-/// what a car is longer than wide (1.35 m), for the mean of both (3.2 m), over √3 for all views alike.
-const VIEW: f64 = 0.25;
 /// Standard deviation of the distance, as a share of it, from which its three standard deviations reach infinity.
 const MAX_DISTANCE_STD: f64 = 1.0 / 3.0;
 /// Pixels below the lower edge that another vehicle's mask must cover to hide it.
@@ -29,9 +28,10 @@ const MIN_OBLIQUITY: f64 = 0.02;
 /// Outlines that may hide the vehicle.
 pub(super) type Occluders<'a> = Vec<&'a Silhouette>;
 
-/// Where a vehicle meets the ground.
+/// Where a vehicle stands on the ground.
 #[derive(Clone, Debug)]
 pub(super) struct ContactPoint {
+    /// The middle of its footprint.
     pub(super) position: Point3<f64>,
     pub(super) error: ContactError,
     /// Width and height of the mask at the distance of the point.
@@ -125,7 +125,9 @@ impl Ray<'_> {
         if is_steep { Some(Vector2::y()) } else { (moved - pixel).try_normalize(0.0) }
     }
 
-    /// The contact point with its error; `None` where a pixel further up meets no ground.
+    /// The middle of the footprint with its error; `None` where a pixel further up meets no ground.
+    ///
+    /// * `position` – the contact with the ground on the camera's side.
     fn with_error(&self, position: Point3<f64>, edge: &LowerEdge, focal_std: f64) -> Option<ContactPoint> {
         let LowerEdge { pixel, down, size: [width_px, height_px] } = *edge;
         let along = Vector2::new(-down.y, down.x);
@@ -146,14 +148,15 @@ impl Ray<'_> {
             * Matrix2::from_diagonal(&Vector2::new(edge_px * edge_px, side_px * side_px))
             * jacobian.transpose();
         let level = away.try_normalize(0.0)?;
+        let (depth, depth_std) = footprint::depth(apparent_size, sinking)?;
         // A plane that is higher moves the point towards the camera along the ray; all else moves it along the ground.
         let shift = |plane_std: f64, parts: [f64; 2]| {
             let per_height = (1.0 - sinking * sinking).max(0.0).sqrt() / sinking;
             let along_ground = [per_height * plane_std, parts[0], parts[1]].iter().map(|part| part * part).sum::<f64>();
             level * along_ground.sqrt() - self.plane.normal * plane_std
         };
-        // Masks that are propagated from frame to frame keep their error for a while.
-        let drift = shift(self.plane.own_height_std(), [away.norm() * edge_px, VIEW * apparent_size[0]]);
+        // Masks that are propagated from frame to frame keep their error for a while, and so does a view.
+        let drift = shift(self.plane.own_height_std(), [away.norm() * edge_px, 0.5 * depth_std]);
         let common = shift(self.plane.common_height_std, [away.norm() * bias_px, focal_std * distance]);
         let error = ContactError {
             noise: [0, 1, 2].map(|row| [0, 1, 2].map(|column| noise[(row, column)])),
@@ -162,6 +165,7 @@ impl Ray<'_> {
         };
         let numbers: [Vector3<f64>; 2] = [drift, common];
         let is_finite = noise.iter().chain(numbers.iter().flat_map(|v| v.iter())).all(|x| x.is_finite());
+        let position = position + level * (0.5 * depth);
         is_finite.then_some(ContactPoint { position, error, apparent_size })
     }
 }

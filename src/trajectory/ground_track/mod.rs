@@ -1,17 +1,20 @@
 //! Positions on the ground of a vehicle of which only masks are known.
 //!
-//! The lower edge of a mask is where the vehicle meets the ground. With u the ray through it, n the normal of the local
-//! ground plane towards the camera, and h the camera's height over that plane, the contact point is
+//! The lower edge of a mask is where the vehicle meets the ground on the camera's side. With u the ray through it, n
+//! the normal of the local ground plane towards the camera, and h the camera's height over that plane, that point is
 //!
 //! ```text
 //! x = c + u h / s,    s = −nᵀ u = sin ε                                                                            (1)
 //! ```
 //!
-//! for the ray's angle ε below the horizon. A pixel moves x by J = ∂x/∂p, which grows with 1 / s²; a plane that is
-//! higher by δ moves it by −u δ / s. Both end at the horizon: a frame whose distance has a standard deviation of a
-//! third and more has no position, since three of them reach infinity. docs/maths/ground-track.md has the shares.
+//! for the ray's angle ε below the horizon. The position is the middle of the footprint, half of its depth further
+//! away, which the extents of the mask show (`footprint`). A pixel moves x by J = ∂x/∂p, which grows with 1 / s²; a
+//! plane that is higher by δ moves it by −u δ / s. Both end at the horizon: a frame whose distance has a standard
+//! deviation of a third and more has no position, since three of them reach infinity. docs/maths/ground-track.md has
+//! the shares.
 
 mod contact_point;
+mod footprint;
 #[cfg(test)]
 mod tests;
 
