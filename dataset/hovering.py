@@ -274,7 +274,9 @@ def recall(sequence: Path, run: Path) -> None:
 def _state(what: str, errors: np.ndarray, stds: list[list[float]]) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
-    text = f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m"
+    text = (
+        f"{what}: mean {size.mean():.2f} m, 95 % {np.quantile(size, 0.95):.2f} m, without the common part {own:.2f} m"
+    )
     if stds:
         off = np.abs(errors) / np.array(stds)
         inside = ", ".join(f"{100 * float((off <= k).mean()):.0f}" for k in (1, 2, 3))
