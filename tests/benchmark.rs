@@ -101,7 +101,7 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
     }
 
     // Without a mechanism: another result, in which all but the stages that it concerns is reused.
-    let ablate = ["--only", CLIP, "--no-paper", "--json", "--ablate", "joint,plane-outliers"];
+    let ablate = ["--only", CLIP, "--no-paper", "--json", "--ablate", "joint,smooth-surface"];
     let (code, text, stderr) = benchmark(&set, &out, &ablate);
     assert_eq!(code, 0, "{stderr}");
     let printed: Value = serde_json::from_str(&text).unwrap();
@@ -113,7 +113,7 @@ fn a_broken_sequence_counts_as_failed_and_the_rest_is_done_once() {
     assert!((error("with") - of_joint).abs() < 1e-9 && (error("without") - of_other).abs() < 1e-9, "{effects:?}");
     assert!(effects.iter().all(|effect| effect["without"]["cpu_s"].as_f64().unwrap() > 0.0), "{effects:?}");
     let page = fs::read_to_string(out.join("ablation.md")).unwrap();
-    assert!(page.contains("| plane-outliers |"), "{page}");
+    assert!(page.contains("| smooth-surface |"), "{page}");
     let before = fs::read(out.join("ablation.json")).unwrap();
     let (code, ..) = benchmark(&set, &out, &ablate);
     assert!(code == 0 && fs::read(out.join("ablation.json")).unwrap() == before, "what is done is kept");

@@ -47,7 +47,6 @@ mod intersection;
 mod joint;
 mod least_squares;
 mod place;
-mod plane_outliers;
 mod pose_error;
 mod relative_motion;
 mod smoother;

@@ -10,7 +10,6 @@ use std::collections::BTreeMap;
 use nalgebra::Matrix3;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
-use super::plane_outliers::Steadiness;
 use super::pose_error;
 use super::{
     Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
@@ -127,8 +126,7 @@ impl Evidence<'_> {
 
     /// The object after an adjustment; `as_it_was` are the views of the model before.
     fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> PlacedObject {
-        let steadiness = Steadiness::of(self.background, &found.object, self.planes, found.ratio, options);
-        let views = Views::new(self.background, &found.object, &steadiness.telling(self.planes), options);
+        let views = Views::new(self.background, &found.object, self.planes, options);
         let as_reconstructed = Some(ratios_of(as_it_was, options));
         let references = references(as_it_was, options);
         let scale = joint_estimate(&views, &found, options, self.focal_std);

@@ -20,7 +20,7 @@ const fn ablation(name: &'static str, decision: u32, settings: &'static [(&'stat
 
 impl Ablation {
     /// All of them, by decision. `docs/decisions/README.md` has the same table and says which decisions have no switch.
-    pub const ALL: [Self; 17] = [
+    pub const ALL: [Self; 16] = [
         ablation(
             "track-length-limit",
             4,
@@ -47,7 +47,6 @@ impl Ablation {
         ablation("vehicle-path", 19, &[("tuning.ground.vehicle_path", "false")]),
         ablation("ground-poses", 21, &[("tuning.objects.mapper.pose_priors", "false")]),
         ablation("contact-frames", 25, &[("tuning.scale.joint.contact.best_share", "1")]),
-        ablation("plane-outliers", 26, &[("tuning.scale.joint.compare_planes", "false")]),
         ablation("start-of-stationary", 27, &[("tuning.tracker.start_standing", "0.35")]),
         ablation(
             "coarse-adjustments",

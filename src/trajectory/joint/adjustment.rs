@@ -10,7 +10,6 @@ use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Prob
 use crate::math::{RobustLoss, STD_PER_MAD, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
-use crate::trajectory::plane_outliers::Steadiness;
 use crate::trajectory::views::{lever, mean_normal};
 use crate::trajectory::{
     Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
@@ -59,8 +58,6 @@ pub(super) struct Adjustment<'a> {
     wander: f64,
     /// The median of that height, units of the background.
     camera_height: f64,
-    /// Consistency of the planes.
-    steadiness: Steadiness,
     /// Share of the cost at which an adjustment ends.
     tolerance: f64,
 }
@@ -72,7 +69,7 @@ impl<'a> Adjustment<'a> {
             true => Err(ScaleError::CameraHovers),
             false => least_squares(views, &options.least_squares),
         };
-        let (all_options, options) = (options, &options.joint);
+        let options = &options.joint;
         let ratio = start(&all_frames, views)?;
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
         let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
@@ -92,21 +89,7 @@ impl<'a> Adjustment<'a> {
         let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
         let contact_options = grounded.body.contact(&options.contact);
-        let steadiness = Steadiness::of(grounded.background, grounded.object, grounded.planes, ratio, all_options);
-        if !steadiness.outlying.is_empty() {
-            tracing::debug!("outlying ground planes: {:?}", steadiness.outlying);
-        }
-        Ok(Self {
-            grounded,
-            options,
-            contact_options,
-            object,
-            noise_px,
-            wander,
-            camera_height,
-            steadiness,
-            tolerance: TO_THE_END,
-        })
+        Ok(Self { grounded, options, contact_options, object, noise_px, wander, camera_height, tolerance: TO_THE_END })
     }
 
     /// The same adjustment of a part of the object.
@@ -190,22 +173,21 @@ impl<'a> Adjustment<'a> {
         problem
     }
 
-    /// Plane i below the middle of the vehicle, but those that stand out from their neighbours'.
+    /// Plane i below the middle of the vehicle.
     fn planes(&self) -> Vec<PlanePrior> {
         let Grounded { background, planes, .. } = self.grounded;
         let middle = object_center(&self.object);
         let pose_of: BTreeMap<&str, usize> =
             self.object.images.values().map(|image| image.name.as_str()).zip(0..).collect();
         let known = |(frame, in_background, in_object): (FrameId, &Image, &Image)| {
-            let plane = planes.get(&frame).filter(|_| !self.steadiness.outlying.contains(&frame))?;
-            let own_std = plane.own_height_std().max(self.steadiness.own_std(frame));
+            let plane = planes.get(&frame)?;
             Some(PlanePrior {
                 pose: *pose_of.get(in_object.name.as_str())?,
                 normal_in_cam: in_background.cam_from_world.rotation * plane.normal,
                 camera_height: plane.signed_distance(in_background.cam_from_world.center()),
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
-                sigma_distance: self.sigma_distance(in_object, &middle).max(own_std),
+                sigma_distance: self.sigma_distance(in_object, &middle).max(plane.own_height_std()),
                 sigma_tilt: self.options.sigma_tilt.max(plane.tilt_std),
                 loss: RobustLoss::Squared,
             })
@@ -298,35 +280,7 @@ impl<'a> Adjustment<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::synthetic::drive::{self, Drive, drive};
-
-    #[test]
-    fn planes_that_stand_out_are_not_believed_and_those_that_differ_are_less() {
-        const HEIGHT: f64 = 12.0;
-        let mut world = drive(&drive::Options { camera_height_m: HEIGHT, ..drive::Options::default() }, 5);
-        let unit = drive::Options::default().background_unit_m;
-        for (frame, plane) in &mut world.planes {
-            let by_m = match frame.0 {
-                20..23 => 3.0,
-                40.. => [0.2, -0.2][frame.0 as usize % 2],
-                _ => 0.0,
-            };
-            plane.point += plane.normal * (by_m / unit);
-        }
-        let Drive { background, object, planes, frames, .. } = &world;
-        let silhouettes = BTreeMap::new();
-        let body = crate::trajectory::Body::Car;
-        let grounded = Grounded { background, object, planes, silhouettes: &silhouettes, frames, body };
-        let options = Options::default();
-        let views = Views::new(background, object, planes, &options);
-        let found = Adjustment::new(&grounded, &views, &options).unwrap().planes();
-        assert_eq!(found.len(), planes.len() - 3);
-        let sigmas = |poses: std::ops::Range<usize>| {
-            let within = found.iter().filter(|plane| poses.contains(&plane.pose));
-            median(within.map(|plane| plane.sigma_distance * unit).collect()).unwrap()
-        };
-        assert!(sigmas(0..15) < 0.01 * HEIGHT && sigmas(45..60) > 0.2, "{} {}", sigmas(0..15), sigmas(45..60));
-    }
+    use crate::synthetic::drive::{self, drive};
 
     #[test]
     fn views_of_few_points_are_not_asked_how_sure_they_are() {

@@ -71,8 +71,6 @@ pub struct JointOptions {
     /// Share of the points that stays in any case: the surest.
     #[schemars(extend("unit" = "share"))]
     pub least_share: f64,
-    /// True if ground planes that deviate from those of neighboring frames lose weight or are rejected.
-    pub compare_planes: bool,
     /// True if points are drawn onto the surface of their neighbors.
     pub smooth_surface: bool,
     /// True if sub-maps of a vehicle are adjusted by themselves and aligned by its body.
@@ -93,7 +91,6 @@ impl Default for JointOptions {
             max_error_growth: 3.0,
             max_deviation: 0.05,
             least_share: 0.5,
-            compare_planes: true,
             smooth_surface: true,
             align_sub_maps: true,
             contact: ContactOptions::default(),

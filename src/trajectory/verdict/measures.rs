@@ -9,7 +9,6 @@ use crate::math::{median, quantile};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectPose, Reconstruction};
 use crate::trajectory::heading::forward_axis;
 use crate::trajectory::object_center;
-use crate::trajectory::plane_outliers::Steadiness;
 
 /// Of the points over the ground, the share that lies below what counts as the vehicle's top.
 const TOP: f64 = 0.95;
@@ -140,14 +139,10 @@ fn heights(plane: &GroundPlane, pose: &ObjectPose, points: &[Point3<f64>]) -> Ve
 }
 
 /// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known well
-/// enough, and do not stand out from their neighbours'.
+/// enough.
 fn middles(candidate: &Candidate, over_ground: &[(FrameId, [f64; 3])], height: f64) -> Vec<f64> {
-    let Candidate { trajectory, object, background, planes, options, .. } = candidate;
-    let outlying = Steadiness::of(background, object, planes, trajectory.scale.ratio, options).outlying;
-    let tells = |frame: &FrameId| {
-        let own = planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
-        !(own > KNOWN * height || outlying.contains(frame))
-    };
+    let own_std = |frame: &FrameId| candidate.planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
+    let tells = |frame: &FrameId| !(own_std(frame) > KNOWN * height);
     over_ground.iter().filter(|(frame, _)| tells(frame)).map(|(_, [_, middle, _])| *middle).collect()
 }
 
