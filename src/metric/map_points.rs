@@ -14,7 +14,7 @@
 //! φ = (Dᵀ D)⁻¹ Dᵀ G θ,   G = ∂(points on the ground) / ∂θ,   D = ∂(points on the ground) / ∂(ln s, north, east, north)
 //! ```
 //!
-//! What no similarity explains is added to the variance of the place.
+//! The rest, which no similarity explains, is added to the variance of the place.
 
 use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
@@ -212,7 +212,9 @@ fn covariance_on_ground(
         let [x, y] = (here - middle).into();
         Some((by, SMatrix::<f64, 2, 4>::new(x, -y, 1.0, 0.0, y, x, 0.0, 1.0)))
     };
-    let pairs = (0..points.len()).flat_map(|j| (j..points.len()).map(move |k| (j, k)));
+    let step = points.len().div_ceil(MAX_SAMPLED);
+    let sampled = || (0..points.len()).step_by(step);
+    let pairs = sampled().flat_map(|j| sampled().skip_while(move |k| *k < j).map(move |k| (j, k)));
     let rows: Vec<_> = pairs.map(displacement).collect::<Option<_>>()?;
     let normal_equations: SMatrix<f64, 4, 4> = rows.iter().map(|(_, similarity)| similarity.tr_mul(similarity)).sum();
     let right_side: SMatrix<f64, 4, 7> = rows.iter().map(|(by, similarity)| similarity.tr_mul(by)).sum();
@@ -231,6 +233,8 @@ fn covariance_on_ground(
     Some(covariance)
 }
 
+/// Points between which positions are sampled, evenly chosen of more: the time grows with the square of their number.
+const MAX_SAMPLED: usize = 40;
 /// From the homography, which is right but for noise: quadratic convergence.
 const ROUNDS: usize = 12;
 /// Step of the derivatives, radians and metres.
