@@ -4,7 +4,8 @@
 ``inputs`` writes a log of a drone (video.SRT) and points of a map (points.geojson) of a sequence, with errors of their
 kind by a seed. ``compare`` states the errors of a run's positions, and of those of a homography from the image to four
 and more points of the map with frames registered to the first one, at the middles of the same masks (geo-trax's way).
-``recall`` states in how many frames a run has masks of the driven vehicles.
+``recall`` states in how many frames a run has masks of the driven vehicles. ``plane`` states the error of the ground's
+normal, of each of its sources, and of the focal length.
 """
 
 from __future__ import annotations
@@ -271,6 +272,30 @@ def recall(sequence: Path, run: Path) -> None:
             print(f"{vehicle}, {mean:.0f} px: {hits} of {len(frames)} frames, {len(ids)} ids")
 
 
+def plane(sequence: Path, run: Path) -> None:
+    """Prints the errors of the ground's normal in the first frame and of the focal length."""
+    truth = Truth.read(sequence)
+    up = truth.cameras[0][:3, :3].T @ truth.normal
+    true = np.degrees([np.arctan2(-up[2], -up[1]), np.arcsin(up[0])])
+    stages = json.loads((run / "run.json").read_text())["stages"]
+    background, found = stages["background"]["figures"], stages["ground"]["figures"].get("hovering")
+    focal, true_focal = background["focal_length_px"], truth.scene["K"][0][0]
+    std = background["focal_std_px"]
+    sigma = "held" if std is None else f"± {100 * std / focal:.1f} %"
+    print(f"focal length {focal:.0f} px, {100 * (focal / true_focal - 1):+.1f} % {sigma}")
+    if found is None:
+        print("no ground")
+        return
+    print(f"ground: pitch {found['pitch_deg'] - true[0]:+.2f} of {true[0]:.1f}°, tilt ± {found['tilt_std_deg']:.2f}°")
+    for source in found["sources"]:
+        offs = [
+            f"{at - of_true:+.2f} ± {std:.2f}°"
+            for at, of_true, std in zip(source["tilt_deg"], true, source["std_deg"], strict=True)
+            if std is not None
+        ]
+        print(f"  {source['source']}: pitch and tilt {', '.join(offs)}")
+
+
 def _state(what: str, errors: np.ndarray, stds: list[list[float]]) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
@@ -337,9 +362,14 @@ def main() -> None:
     seen = commands.add_parser("recall", help="frames in which a run has masks of the driven vehicles")
     seen.add_argument("sequence", type=Path)
     seen.add_argument("run", type=Path)
+    normal = commands.add_parser("plane", help="errors of the ground's normal and of the focal length")
+    normal.add_argument("sequence", type=Path)
+    normal.add_argument("run", type=Path)
     arguments = parser.parse_args()
     if arguments.command == "recall":
         recall(arguments.sequence, arguments.run)
+    elif arguments.command == "plane":
+        plane(arguments.sequence, arguments.run)
     elif arguments.command == "inputs":
         write_inputs(arguments.sequence, arguments.output, arguments.seed)
     elif (arguments.run / "live.jsonl").is_file() and not (arguments.run / "trajectories.json").is_file():

@@ -31,6 +31,14 @@ pub const MAX_INCLINATION: f64 = 1.65;
 /// away.
 pub const LEAST_DIP: f64 = 0.03;
 
+/// The vertical in the frame of a camera: regular straight down, too, where a roll about the axis is none.
+///
+/// * `angles` – inclination below the horizon, and tilt to the right, radians.
+pub fn up_in_cam(angles: Vector2<f64>) -> Vector3<f64> {
+    let [pitch, tilt] = [angles.x, angles.y];
+    Vector3::new(tilt.sin(), -tilt.cos() * pitch.cos(), -tilt.cos() * pitch.sin())
+}
+
 /// Intrinsic parameters of one camera.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Camera {

@@ -6,6 +6,7 @@
 mod error;
 mod front_end;
 pub mod large_frames;
+pub mod lines;
 pub mod matching;
 pub mod order;
 pub mod patch;

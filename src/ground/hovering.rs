@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
 use super::local::{LocalPlanes, SkipReason, SkippedFrame, lowest_foot, object_pixels};
-use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION};
+use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION, up_in_cam};
 use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconstruction};
 
@@ -62,7 +62,7 @@ pub struct StatedTilt {
 pub enum TiltKind {
     /// The ground.
     Ground,
-    /// The vertical, by a sensor: then a level horizon is no further evidence.
+    /// The vertical, by a sensor or by buildings: then a level horizon is no further evidence.
     Vertical,
     /// The plane of a map in whose frame positions are. It is the ground as it is: rays meet it where a homography to
     /// the map would put them, whatever its error, and would not meet a better plane there.
@@ -186,13 +186,6 @@ pub fn hovering_ground(
         sources: stated,
         contradictions,
     })
-}
-
-/// The vertical in the frame of a camera that looks down by a pitch and is tilted to the right: regular straight down,
-/// too, where a roll about the axis is none.
-fn up_in_cam(angles: Vector2<f64>) -> Vector3<f64> {
-    let [pitch, tilt] = [angles.x, angles.y];
-    Vector3::new(tilt.sin(), -tilt.cos() * pitch.cos(), -tilt.cos() * pitch.sin())
 }
 
 /// A vehicle in one frame.

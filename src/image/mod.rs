@@ -10,6 +10,7 @@
 mod canvas;
 mod corners;
 mod degrade;
+mod line_segments;
 mod lucas_kanade;
 mod opencv_mat;
 mod resize;
@@ -19,6 +20,7 @@ use std::num::TryFromIntError;
 pub use self::canvas::{Canvas, Plate};
 pub use self::corners::CornerStrength;
 pub use self::degrade::{blurred, noisy};
+pub use self::line_segments::line_segments;
 pub use self::lucas_kanade::{LucasKanade, Pyramid, Returned, TrackedPoint};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_bytes, mat_from_f32, mat_from_gray,

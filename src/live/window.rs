@@ -8,6 +8,7 @@ use nalgebra::Point2;
 use super::map::WorldMap;
 use super::{LiveError, Purpose, WINDOW_S};
 use crate::camera::Camera;
+use crate::features::lines::ImageLines;
 use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::geometry::resection::{self, PixelsAndPoints};
@@ -33,6 +34,9 @@ const KEY_SHARED: f64 = 0.5;
 pub(super) const SPARE_S: f64 = 4.0;
 /// Views beyond the kept ones at which they are dropped. Re-detection forgets its keyframes then.
 const SPARE_VIEWS: usize = 40;
+/// Frames of which straight lines are kept, and the time between them at least, seconds: as in a run.
+const NUM_LINES: usize = 5;
+const LINES_S: f64 = 0.5;
 /// Limits of a pose: those of the mapper for the background.
 pub(super) const LIMITS: Limits = Limits { max_error_px: 4.0, min_inliers: 20, min_inlier_ratio: 0.2 };
 
@@ -55,6 +59,8 @@ pub(super) struct Snapshot {
     pub(super) poses: BTreeMap<FrameId, Rigid3>,
     /// Images of the vehicles.
     pub(super) vehicles: Vec<BTreeMap<FrameId, ObjectImage>>,
+    /// Straight lines of some of the frames.
+    pub(super) lines: Vec<ImageLines>,
     pub(super) purpose: Purpose,
 }
 
@@ -66,13 +72,15 @@ pub(super) struct Window {
     frames: Vec<Frame>,
     is_key: Vec<bool>,
     poses: BTreeMap<FrameId, Rigid3>,
+    /// Of some frames that are still there.
+    lines: Vec<ImageLines>,
 }
 
 impl Window {
     pub(super) fn new(camera: Camera) -> Self {
         let options = VideoOptions { max_points: MAX_POINTS, ..VideoOptions::background() };
         let front_end = VideoFrontEnd::new(options, camera).only_across_breaks();
-        Self { front_end, camera, frames: Vec::new(), is_key: Vec::new(), poses: BTreeMap::new() }
+        Self { front_end, camera, frames: Vec::new(), is_key: Vec::new(), poses: BTreeMap::new(), lines: Vec::new() }
     }
 
     /// Takes the next frame.
@@ -84,8 +92,23 @@ impl Window {
         if let Some(last) = self.is_key.last_mut() {
             *last = is_key;
         }
+        self.find_lines(frame, picture);
         self.forget(frame.time_s);
         Ok(())
+    }
+
+    /// Keeps straight lines of some of the frames.
+    fn find_lines(&mut self, frame: &Frame, picture: &RgbImage) {
+        let age_s = |lines: &ImageLines| {
+            let of_lines = self.frames.iter().find(|frame| frame.id == lines.image.frame());
+            of_lines.map_or(f64::INFINITY, |before| frame.time_s - before.time_s)
+        };
+        self.lines.retain(|lines| age_s(lines) <= WINDOW_S);
+        let is_early = self.lines.last().is_some_and(|lines| age_s(lines) < LINES_S);
+        if self.lines.len() < NUM_LINES && !is_early {
+            // OpenCV may have been built without the detector.
+            self.lines.extend(ImageLines::of(picture, frame.id.into()).ok());
+        }
     }
 
     /// The camera as the last map has it.
@@ -106,7 +129,8 @@ impl Window {
     /// The window as it is now.
     pub(super) fn snapshot(&self, purpose: Purpose, vehicles: Vec<BTreeMap<FrameId, ObjectImage>>) -> Snapshot {
         let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
-        Snapshot { table, frames, is_key, poses: self.poses.clone(), vehicles, purpose }
+        let (poses, lines) = (self.poses.clone(), self.lines.clone());
+        Snapshot { table, frames, is_key, poses, vehicles, lines, purpose }
     }
 
     /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.

@@ -16,6 +16,7 @@ mod calibration_fit;
 mod error;
 mod focal_changes;
 mod focal_length;
+mod hovering_camera;
 mod incremental_mapper;
 mod initial_pair;
 mod initialization;
@@ -28,9 +29,9 @@ mod report;
 mod rotating_camera;
 mod separate_stretches;
 pub mod silhouette;
-mod sway;
 #[cfg(test)]
 mod tests;
+mod vanishing_points;
 mod view_graph;
 mod windows;
 
@@ -38,6 +39,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use calibration_fit::{CalibrationFit, calibration_fit};
+pub use hovering_camera::{HoveringCamera, LineNormal, hovering_camera};
 pub use incremental_mapper::PosePriors;
 pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
@@ -46,7 +48,8 @@ pub use report::{Outcome, Reason, Report};
 #[cfg(test)]
 pub(crate) use rotating_camera::tests::views_along;
 pub use rotating_camera::{RotatingCamera, rotating_camera};
-pub use sway::{HoveringCamera, SwayGround, hovering_camera};
+#[cfg(test)]
+pub(crate) use vanishing_points::tests::street;
 
 use crate::camera::Camera;
 use crate::checks::{Checked, ordered, within};

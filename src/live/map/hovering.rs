@@ -36,13 +36,6 @@ impl Hover {
     }
 }
 
-/// Use of the sway of the camera, whose adjustment takes time.
-#[derive(Clone, Copy)]
-enum Sway {
-    Used,
-    Ignored,
-}
-
 /// State of a local frame while the camera does not translate.
 pub(super) struct Hovering {
     pub(super) ground: HoveringGround,
@@ -65,7 +58,7 @@ impl Mapper {
         let Hovering { ground, error, .. } = self.hovering.as_ref()?;
         if snapshot.purpose != Purpose::Revision
             && *error > GOOD
-            && let Ok(better) = self.hover(snapshot, table, Sway::Used)
+            && let Ok(better) = self.hover(snapshot, table)
             && better.error() < BETTER * error
         {
             return Some(self.take_up(better));
@@ -103,13 +96,12 @@ impl Mapper {
             self.hovering = Some(Hovering { ground, error: 0.0, focal_std_before, is_own: false });
             return Ok(found);
         }
-        // Sources that are given serve at once.
-        let found = self.hover(snapshot, table, Sway::Ignored).or_else(|_| self.hover(snapshot, table, Sway::Used))?;
+        let found = self.hover(snapshot, table)?;
         Ok(self.take_up(found))
     }
 
     /// The camera as one that does not translate, in a frame of its own.
-    fn hover(&self, snapshot: &Snapshot, table: &TrackTable, sway: Sway) -> Result<Hover, NoMap> {
+    fn hover(&self, snapshot: &Snapshot, table: &TrackTable) -> Result<Hover, NoMap> {
         let is_first = self.first == snapshot.frames.first().map(|frame| frame.id);
         let mut metric = self.options.metric.clone();
         if self.has_turned && !is_first {
@@ -119,22 +111,14 @@ impl Mapper {
         // The same points of the map are no new evidence.
         let before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
         let (camera, focal_std) = camera_by_map_points(&metric, table, &self.camera, before);
-        let found = match sway {
-            Sway::Used => mapper::hovering_camera(table, &camera, focal_std),
-            Sway::Ignored => mapper::rotating_camera(table, &camera).map(|rotations| HoveringCamera {
-                rotations,
-                camera,
-                focal_std,
-                sway: None,
-            }),
-        };
-        let HoveringCamera { rotations, camera, focal_std, sway } = found.ok_or(NoMap::Inclination)?;
+        let found = mapper::hovering_camera(table, &camera, focal_std, &snapshot.lines);
+        let HoveringCamera { rotations, camera, focal_std, by_lines } = found.ok_or(NoMap::Inclination)?;
         let poses = rotations.model(table, &camera);
         let on_map = on_map_points(&metric, &poses, focal_std).map_err(|error| NoMap::MapPoints(error.to_string()))?;
         let log = self.georeferencer.as_ref();
         let station = log.and_then(|log| log.station(&poses, &snapshot.frames, &metric).ok());
         let vertical = station.as_ref().and_then(Station::vertical);
-        let tilts = stated_tilts(&poses, &metric, sway.as_ref(), vertical, on_map.as_ref());
+        let tilts = stated_tilts(&poses, &metric, by_lines.as_ref(), vertical, on_map.as_ref());
         // Where vehicles that stand point to is unknown.
         let vehicles: Vec<_> = snapshot.vehicles.iter().filter(|seen| on_plane::moves(seen, &poses)).cloned().collect();
         let ground = hovering_ground(&poses, &vehicles, tilts).ok_or(NoMap::Inclination)?;

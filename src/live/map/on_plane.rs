@@ -4,7 +4,7 @@
 //! it gives a point, and the points make a map like any other: frames are registered in it by resection, which includes
 //! the sway of the camera. What stands above the ground moves against the plane when the camera sways, and is left out.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Vector3};
 
@@ -25,7 +25,10 @@ pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
     // The window also has old keyframes, of a flight before.
     let since_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s) - WINDOW_S - SPARE_S;
     let recent: Vec<usize> = (0..snapshot.frames.len()).filter(|&k| snapshot.frames[k].time_s >= since_s).collect();
-    let chosen: Vec<usize> = recent.iter().copied().step_by(recent.len().div_ceil(DENSE_VIEWS).max(1)).collect();
+    let has_lines = |k: &usize| snapshot.lines.iter().any(|lines| lines.image.frame() == snapshot.frames[*k].id);
+    let of_lines = recent.iter().copied().filter(has_lines);
+    let evenly = recent.iter().copied().step_by(recent.len().div_ceil(DENSE_VIEWS).max(1));
+    let chosen: Vec<usize> = evenly.chain(of_lines).collect::<BTreeSet<_>>().into_iter().collect();
     sub_table(&snapshot.table, &chosen, MIN_TRACK)
 }
 

@@ -1,8 +1,9 @@
 use nalgebra::{Point2, Point3, Vector3};
 
 use super::*;
+use crate::features::lines::ImageLines;
 use crate::features::tracks::Feature;
-use crate::math::umeyama;
+use crate::math::{seeded_rng, umeyama};
 use crate::scene::{ImageId, TrackElement};
 use crate::synthetic::scene::{self, CameraMotion, static_scene};
 use crate::telemetry::{Geodetic, LocalFrame};
@@ -29,7 +30,15 @@ fn snapshot(scene: &Reconstruction, views: std::ops::Range<u32>) -> Snapshot {
     let frames: Vec<Frame> = images.iter().map(frame).collect();
     // Every third is a keyframe, in all windows.
     let is_key = frames.iter().map(|frame| frame.id.0 % 3 == 0).collect();
-    Snapshot { table, frames, is_key, poses: BTreeMap::new(), vehicles: Vec::new(), purpose: Purpose::Final }
+    Snapshot {
+        table,
+        frames,
+        is_key,
+        poses: BTreeMap::new(),
+        vehicles: Vec::new(),
+        lines: Vec::new(),
+        purpose: Purpose::Final,
+    }
 }
 
 fn flight() -> scene::Options {
@@ -84,7 +93,7 @@ fn window(table: &TrackTable, views: std::ops::Range<usize>, maps: &[&WorldMap])
     let is_key = (0..count).map(|view| view % 3 == 0).collect();
     let images = maps.iter().flat_map(|map| &map.model.images);
     let poses = images.map(|(id, image)| (id.frame(), image.cam_from_world)).collect();
-    Snapshot { table, frames, is_key, poses, vehicles: Vec::new(), purpose: Purpose::Revision }
+    Snapshot { table, frames, is_key, poses, vehicles: Vec::new(), lines: Vec::new(), purpose: Purpose::Revision }
 }
 
 /// A camera 40 m above a plane looks down by 90° minus 0.5.
@@ -121,9 +130,15 @@ fn the_ground_is_the_map_of_a_camera_that_hovers() {
     assert!(mean_m < 0.04, "{mean_m}");
     let up = rotations[0] * -Vector3::z();
     assert!(second.frame.metric_from_world().rotation.inverse().transform_vector(&Vector3::z()).angle(&up) < 0.01);
-    // No view of the window has a pose.
-    let new = mapper.update(&window(&table, 40..60, &[])).unwrap().expect("a map");
+    // No view of the window has a pose, and the camera has turned since its inclination was stated.
+    let mut later = window(&table, 40..60, &[]);
+    assert_eq!(mapper.update(&later).unwrap().err(), Some(NoMap::Inclination));
+    let segments = crate::mapper::street(&camera, &(rotations[45] * -Vector3::z()), 0.0, &mut seeded_rng(1, 0));
+    later.lines.push(ImageLines { image: later.table.views[5].image, segments });
+    let new = mapper.update(&later).unwrap().expect("a map");
     assert!(new.line.is_hovering && !new.is_continued && new.model.images.len() == 20);
+    let up = rotations[40] * -Vector3::z();
+    assert!(new.frame.metric_from_world().rotation.inverse().transform_vector(&Vector3::z()).angle(&up) < 0.03);
     let at_rest = crate::mapper::views_along(|_| Vector3::zeros()).0;
     let lost = mapper_of(camera, None).update(&window(&at_rest, 0..30, &[]));
     assert_eq!(lost.unwrap().err(), Some(NoMap::Inclination));

@@ -12,7 +12,7 @@ use crate::camera::Camera;
 use crate::features::TrackTable;
 use crate::ground::{SLOPE_STD, StatedTilt, TiltKind};
 use crate::io;
-use crate::mapper::{SwayGround, rotating_camera};
+use crate::mapper::{LineNormal, rotating_camera};
 use crate::math::Sim3;
 use crate::metric::{
     Alignment, MapPoint, Measured, Offset, Orientation, PositionFix, align, camera_over_map, focal_over_map,
@@ -57,7 +57,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
 pub(in crate::pipeline) fn tilts(
     run: &Run,
     background: &Reconstruction,
-    sway: Option<&SwayGround>,
+    by_lines: Option<&LineNormal>,
 ) -> Result<Vec<StatedTilt>, PipelineError> {
     let vertical = telemetry::find(run, &mut Outcome::default()).and_then(|log| {
         let of_gimbal = || station(run, background, &log).ok()?.vertical();
@@ -66,7 +66,7 @@ pub(in crate::pipeline) fn tilts(
     });
     let metric = &run.options.metric;
     let on_map = on_map_points(metric, background, focal_deviation(run)?.unwrap_or(0.0))?;
-    Ok(stated_tilts(background, metric, sway, vertical, on_map.as_ref()))
+    Ok(stated_tilts(background, metric, by_lines, vertical, on_map.as_ref()))
 }
 
 /// Tilts of the ground against the camera of the first image.
@@ -75,7 +75,7 @@ pub(in crate::pipeline) fn tilts(
 pub fn stated_tilts(
     background: &Reconstruction,
     options: &MetricOptions,
-    sway: Option<&SwayGround>,
+    by_lines: Option<&LineNormal>,
     vertical: Option<(Vector3<f64>, f64)>,
     on_map: Option<&OnMap>,
 ) -> Vec<StatedTilt> {
@@ -86,8 +86,12 @@ pub fn stated_tilts(
         StatedTilt::of_up(source, &(cam_from_world * up_in_world), &covariance)
     };
     let in_all_directions = |std: f64| Matrix3::identity() * std.powi(2);
-    let mut found: Vec<StatedTilt> =
-        sway.iter().map(|sway| of_up("sway of the camera", sway.normal, sway.covariance)).collect();
+    // The uprights of buildings are vertical.
+    let of_lines = |lines: &LineNormal| StatedTilt {
+        kind: TiltKind::Vertical,
+        ..of_up("straight lines", lines.normal_in_world, lines.covariance)
+    };
+    let mut found: Vec<StatedTilt> = by_lines.map(of_lines).into_iter().collect();
     found.extend(options.camera_pitch.map(|pitch| StatedTilt {
         source: "--camera-pitch".to_owned(),
         angles: [pitch.value.to_radians(), 0.0],

@@ -1,38 +1,47 @@
 //! The background of a camera that does not translate: its rotations, and no points.
 
+use std::collections::BTreeSet;
+
 use super::{ModelReport, failure};
-use crate::mapper::{HoveringCamera, SwayGround, hovering_camera};
-use crate::pipeline::PipelineError;
-use crate::pipeline::driver::run::Run;
+use crate::features::TrackTable;
+use crate::features::lines::ImageLines;
+use crate::mapper::{HoveringCamera, LineNormal, hovering_camera};
+use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::cameras::{self, InitialCamera};
 use crate::pipeline::inputs::hovering::camera_by_map_points;
+use crate::pipeline::inputs::images;
 use crate::pipeline::stages::features;
-use crate::scene::{Reconstruction, Topic};
+use crate::pipeline::{PipelineError, Stage};
+use crate::scene::{FrameId, Reconstruction, Topic};
 
-/// The ground by the sway of the camera, or `null`.
-const SWAY: &str = "sway-ground.json";
+/// The ground's normal by straight lines, or `null`.
+const NORMAL: &str = "normal-by-lines.json";
 
-/// The ground by the sway of a camera that hovers; `None` where it shows none. The stage must be done.
-pub(in crate::pipeline) fn sway(run: &Run) -> Option<SwayGround> {
+/// The ground's normal by straight lines; `None` where they show none. The stage must be done.
+pub(in crate::pipeline) fn normal_by_lines(run: &Run) -> Option<LineNormal> {
     // A model that was given has no such file.
-    run.workspace.read_state(SWAY).ok().flatten()
+    run.workspace.read_state(NORMAL).ok().flatten()
 }
 
 /// Rotations of the views, with their report; `None` where rotations do not explain them.
-pub(super) fn reconstruct(run: &Run) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
+pub(super) fn reconstruct(
+    run: &Run,
+    outcome: &mut Outcome,
+) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
     let table = features::of_background(run)?;
     let InitialCamera { camera, known, .. } = cameras::first(run)?;
+    let lines = lines_of_first(run, &table, outcome)?;
     let found = on_threads(run.options.threads, || {
         let (camera, focal_std) = camera_by_map_points(&run.options.metric, &table, &camera, known.focal);
-        hovering_camera(&table, &camera, focal_std)
+        hovering_camera(&table, &camera, focal_std, &lines)
     })?;
-    let Some(HoveringCamera { rotations: found, camera, focal_std, sway }) = found else { return Ok(None) };
-    run.workspace.write_state(SWAY, &sway)?;
+    let Some(HoveringCamera { rotations: found, camera, focal_std, by_lines }) = found else { return Ok(None) };
+    run.workspace.write_state(NORMAL, &by_lines)?;
     let model = found.model(&table, &camera);
     let text = format!(
-        "camera does not translate (rotations fit to {:.1} px): no points of the background; ground from its sway, the \
-         sizes of vehicles, --camera-pitch, telemetry or --map-points, unit is the camera's height; give \
+        "camera does not translate (rotations fit to {:.1} px): no points of the background; ground from straight \
+         lines, the sizes of vehicles, --camera-pitch, telemetry or --map-points, unit is the camera's height; give \
          --camera-height for meters{}",
         found.error_px,
         failure::reasons(run)?
@@ -46,4 +55,23 @@ pub(super) fn reconstruct(run: &Run) -> Result<Option<(Reconstruction, ModelRepo
     report.describe_points(&model);
     report.describe_cameras(&model, &[(focal_std > 0.0).then_some(focal_std)]);
     Ok(Some((model, report)))
+}
+
+/// Straight lines of some of the first views; fewer where frames cannot be decoded.
+fn lines_of_first(run: &Run, table: &TrackTable, outcome: &mut Outcome) -> Result<Vec<ImageLines>, PipelineError> {
+    /// They average noise; beyond five nothing changes.
+    const NUM_VIEWS: usize = 5;
+    /// Between them, so that compression and moving vehicles differ.
+    const APART: usize = 6;
+    let views = table.views.iter().filter(|view| !view.pixels.is_empty()).step_by(APART).take(NUM_VIEWS);
+    let chosen: BTreeSet<FrameId> = views.map(|view| view.image.frame()).collect();
+    let number = chosen.len();
+    let frames = run.source.frames_at(chosen)?;
+    let mut found = Vec::new();
+    images::for_each(run, Stage::Background, (frames, number), outcome, |frame, picture| {
+        // OpenCV may have been built without the detector.
+        found.extend(ImageLines::of(&picture, frame.id.into()).ok());
+        Ok(())
+    })?;
+    Ok(found)
 }

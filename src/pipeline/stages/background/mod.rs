@@ -8,7 +8,7 @@ pub(in crate::pipeline) mod model_report;
 pub(in crate::pipeline) mod point_cloud;
 mod position_priors;
 
-pub(in crate::pipeline) use hovering::sway;
+pub(in crate::pipeline) use hovering::normal_by_lines;
 pub use map_frame::background_frame;
 pub use model_report::{CameraReport, ModelReport};
 
@@ -73,7 +73,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
             let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
             let found = reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?;
             let is_other = !found.0.is_empty() || !order::found(run)?.in_time || run.options.scale.method_only;
-            if is_other { None } else { hovering::reconstruct(run)? }.unwrap_or(found)
+            if is_other { None } else { hovering::reconstruct(run, &mut outcome)? }.unwrap_or(found)
         }
     };
     if !report.given {

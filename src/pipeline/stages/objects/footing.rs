@@ -79,7 +79,7 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
         }
     }
     let vehicles: Vec<_> = vehicles.into_values().collect();
-    let tilts = hovering::tilts(run, background, background::sway(run).as_ref())?;
+    let tilts = hovering::tilts(run, background, background::normal_by_lines(run).as_ref())?;
     Ok(crate::ground::hovering_ground(background, &vehicles, tilts))
 }
 

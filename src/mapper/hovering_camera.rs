@@ -1,0 +1,83 @@
+//! A camera that does not translate: rotations, and what straight lines show of the ground and the focal length.
+
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
+use serde::{Deserialize, Serialize};
+
+use super::rotating_camera::{RotatingCamera, rotating_camera};
+use super::vanishing_points::{Horizon, horizon};
+use crate::camera::Camera;
+use crate::features::lines::ImageLines;
+use crate::features::tracks::TrackTable;
+
+/// The ground's normal by straight lines.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LineNormal {
+    /// Unit normal in the world of the rotations, towards the camera.
+    pub normal_in_world: Vector3<f64>,
+    /// Its covariance.
+    pub covariance: Matrix3<f64>,
+}
+
+/// A camera that does not translate.
+pub struct HoveringCamera {
+    /// Its rotations.
+    pub rotations: RotatingCamera,
+    /// The camera, with the focal length by straight lines.
+    pub camera: Camera,
+    /// Standard deviation of the focal length's logarithm.
+    pub focal_std: f64,
+    /// The ground's normal; `None` where straight lines show none.
+    pub by_lines: Option<LineNormal>,
+}
+
+/// Error of a turn between views by a wrong focal length that no line shows, radians.
+const SMALL_TURN: f64 = 0.002;
+
+/// The camera of views that rotations explain; `None` for others.
+///
+/// * `lines` – of some of the views.
+/// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
+pub fn hovering_camera(
+    table: &TrackTable,
+    camera: &Camera,
+    focal_std: f64,
+    lines: &[ImageLines],
+) -> Option<HoveringCamera> {
+    let rotations = rotating_camera(table, camera)?;
+    let posed = rotated(lines, table, &rotations);
+    let by_lines = |posed: &[Rotated]| horizon_in_world(posed, camera, focal_std);
+    let Some((mut normal, mut log_focal)) = by_lines(&posed) else {
+        return Some(HoveringCamera { rotations, camera: *camera, focal_std, by_lines: None });
+    };
+    let rotations = rotating_camera(table, &camera.zoomed(log_focal[0].exp()))?;
+    // Turns between the views depend on the focal length.
+    let turn = posed.iter().map(|(pose, _)| pose.angle_to(&posed[0].0)).fold(0.0, f64::max);
+    if turn * log_focal[0].abs() > SMALL_TURN {
+        (normal, log_focal) = by_lines(&rotated(lines, table, &rotations)).unwrap_or((normal, log_focal));
+    }
+    let camera = camera.zoomed(log_focal[0].exp());
+    Some(HoveringCamera { rotations, camera, focal_std: log_focal[1], by_lines: Some(normal) })
+}
+
+/// Lines with the rotation of their view, camera from world.
+type Rotated<'a> = (UnitQuaternion<f64>, &'a ImageLines);
+
+/// The lines of views that have a rotation.
+fn rotated<'a>(lines: &'a [ImageLines], table: &TrackTable, rotations: &RotatingCamera) -> Vec<Rotated<'a>> {
+    let with_rotation = |lines: &'a ImageLines| {
+        let mut views = table.views.iter().zip(&rotations.poses);
+        let pose = views.find_map(|(view, pose)| pose.filter(|_| view.image == lines.image))?;
+        Some((pose.rotation, lines))
+    };
+    lines.iter().filter_map(with_rotation).collect()
+}
+
+/// Normal and focal length by lines, the latter as in [`Horizon`].
+fn horizon_in_world(lines: &[Rotated], camera: &Camera, focal_std: f64) -> Option<(LineNormal, [f64; 2])> {
+    let (first, _) = lines.first()?;
+    let views: Vec<_> = lines.iter().map(|(pose, lines)| (first * pose.inverse(), lines.segments.as_slice())).collect();
+    let Horizon { normal_in_cam, covariance, log_focal } = horizon(&views, camera, focal_std)?;
+    let world_from_cam = first.inverse().to_rotation_matrix();
+    let covariance = world_from_cam * covariance * world_from_cam.transpose();
+    Some((LineNormal { normal_in_world: world_from_cam * normal_in_cam, covariance }, log_focal))
+}

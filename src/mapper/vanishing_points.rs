@@ -1,0 +1,496 @@
+//! The ground's normal and the focal length from straight lines in some images.
+//!
+//! Streets, kerbs, markings, walls and vehicles have edges that are upright, or level along few directions. With the
+//! upright n, azimuths a_k and the focal length f, the vanishing directions are
+//!
+//! ```text
+//! v_0 = n,    v_k = cos a_k e_1 + sin a_k e_2,    e_1, e_2 ⊥ n                                                     (1)
+//! ```
+//!
+//! and a segment whose plane with the camera has the normal m, and whose middle is seen along c, deviates from the
+//! line towards v by the angle
+//!
+//! ```text
+//! sin ε = mᵀ v / ‖c × v‖                                                                                           (2)
+//! ```
+//!
+//! Each segment belongs to the direction from which it deviates least. The sum of robust squares is searched on a grid,
+//! then adjusted (Levenberg–Marquardt). The uprights of walls are those of gravity, against which the ground is
+//! inclined by the slope of roads: its share of the covariance is that of a parameter that is known beforehand, not
+//! adjusted (S. Schmidt, *Application of State-Space Methods to Navigation Problems*, 1966). Literature: J. Coughlan,
+//! A. Yuille, *Manhattan World*, 1999; G. Schindler, F. Dellaert, *Atlanta World*, 2004.
+
+use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x2, Point2, UnitQuaternion, Vector2, Vector3};
+
+use crate::camera::{Camera, up_in_cam};
+use crate::math::RobustLoss;
+
+/// Standard deviation of a segment's ends across it, pixels.
+const END_STD_PX: f64 = 0.35;
+/// Standard deviation of the direction of parallel edges, radians.
+const PARALLEL_STD: f64 = 0.005;
+/// Level directions: two of each of two crossing streets.
+const NUM_LEVEL: usize = 4;
+/// Angle between them at least, radians.
+const APART: f64 = 0.17;
+/// Loss of a deviation in standard deviations: many edges belong to none of the directions.
+const LOSS: RobustLoss = RobustLoss::Cauchy { scale: std::f64::consts::SQRT_2 };
+/// Standard deviation of the slope of roads, radians; as of the ground's other sources.
+const SLOPE_STD: f64 = 0.035;
+/// Standard deviation of the horizon's roll, radians; as of the ground's other sources.
+const ROLL_STD: f64 = 0.035;
+/// Inclinations that are possible, radians. Closer to the horizon, and to straight down, the road ahead and the
+/// upright change places: a vanishing point in the image may be either.
+const INCLINATIONS: [f64; 2] = [0.09, 1.31];
+/// Fewest segments.
+const MIN_SEGMENTS: usize = 50;
+/// Deviation up to which a direction explains a segment, in standard deviations, and the share of segments that must be
+/// explained: 0.62 of 60 random segments and 0.45 of 150 are, 0.86 to 0.96 of those in streets.
+const EXPLAINED: f64 = 3.0;
+const MIN_SHARE: f64 = 0.75;
+/// Standard deviation of the tilt beyond which lines show none, radians.
+const MAX_TILT_STD: f64 = 0.15;
+/// Places of the grid from which the first view is adjusted, and minima from which all of them are.
+const NUM_STARTS: usize = 12;
+const NUM_MINIMA: usize = 4;
+/// Segments by which the grid is searched, the longest of the first view: more cost time only.
+const NUM_SEARCHED: usize = 150;
+
+/// The ground's normal, as straight lines show it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Horizon {
+    /// Unit normal in the frame of the first view, towards the camera.
+    pub normal_in_cam: Vector3<f64>,
+    /// Its covariance.
+    pub covariance: Matrix3<f64>,
+    /// Logarithm of the focal length over the initial one, with standard deviation.
+    pub log_focal: [f64; 2],
+}
+
+/// Segments of a view: its rotation from the first one, and both ends of each, pixels.
+pub type ViewSegments<'a> = (UnitQuaternion<f64>, &'a [[Point2<f64>; 2]]);
+
+/// The horizon by segments of views of a camera that only turns; `None` where few are straight lines of a built place,
+/// or where these leave it open. Views show the same lines: together they count as one.
+///
+/// * `views` – the first one is the frame of the result.
+/// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
+pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Option<Horizon> {
+    let lines_of = |(first_from_view, segments): &ViewSegments| {
+        let line = |ends| Line::new(ends, camera, *first_from_view);
+        segments.iter().filter_map(line).collect::<Vec<Line>>()
+    };
+    let lines: Vec<Vec<Line>> = views.iter().map(lines_of).collect();
+    let first = Problem { lines: lines.first()?, weight: 1.0, focal_std };
+    if first.lines.len() < MIN_SEGMENTS {
+        return None;
+    }
+    // The first view alone shows where minima are, at a fifth of the time.
+    let mut found: Vec<Minimum> = first.starts().into_iter().filter_map(|start| first.minimum(start)).collect();
+    found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let starts = distinct(&found).into_iter().take(NUM_MINIMA).map(|found| found.at.clone());
+    let problem = Problem { lines: &lines.concat(), weight: 1.0 / views.len() as f64, focal_std };
+    let mut minima: Vec<Minimum> = starts.filter_map(|start| problem.minimum(start)).collect();
+    minima.sort_by(|a, b| a.cost.total_cmp(&b.cost));
+    let best = minima.first()?;
+    let (cost, share) = (best.cost, problem.explained(&best.at));
+    if share < MIN_SHARE {
+        return None;
+    }
+    // All minima with their likelihoods, so that σ covers what lines leave open; each of them once.
+    let distinct = distinct(&minima);
+    let shares: Vec<f64> = distinct.iter().map(|found| (cost - found.cost).exp()).collect();
+    let sum: f64 = shares.iter().sum();
+    let weighted = || distinct.iter().zip(shares.iter().map(|share| share / sum));
+    let mean: Vector3<f64> = weighted().map(|(found, share)| found.common() * share).sum();
+    let spread = |found: &Minimum| (found.common() - mean) * (found.common() - mean).transpose();
+    let covariance: Matrix3<f64> = weighted().map(|(found, share)| (found.covariance + spread(found)) * share).sum();
+    let is_possible = (INCLINATIONS[0]..=INCLINATIONS[1]).contains(&mean.x) && covariance.iter().all(|x| x.is_finite());
+    let tilt_std = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
+    tracing::debug!(
+        "straight lines: {} segments, {share:.2} explained, {} minima, pitch {:.1}°, tilt ± {:.1}°, focal × {:.3}",
+        problem.lines.len(),
+        distinct.len(),
+        mean.x.to_degrees(),
+        tilt_std.to_degrees(),
+        mean.z.exp()
+    );
+    (is_possible && tilt_std <= MAX_TILT_STD).then(|| {
+        let angles = mean.xy();
+        let normal = up_in_cam(angles);
+        let by = [Vector2::x(), Vector2::y()].map(|axis| (up_in_cam(angles + axis * STEP) - normal) / STEP);
+        let by = Matrix3x2::from_columns(&by);
+        Horizon {
+            normal_in_cam: normal,
+            covariance: by * covariance.fixed_view::<2, 2>(0, 0) * by.transpose(),
+            log_focal: [mean.z, covariance[(2, 2)].sqrt().min(focal_std)],
+        }
+    })
+}
+
+/// Step of derivatives.
+const STEP: f64 = 1e-5;
+/// Difference of inclination, roll and focal length below which minima are the same.
+const SAME: f64 = 0.02;
+
+/// A segment on the plane at the distance 1 in front of the camera.
+#[derive(Clone)]
+struct Line {
+    ends: [Vector2<f64>; 2],
+    first_from_view: UnitQuaternion<f64>,
+    /// Standard deviation of its direction, radians.
+    std: f64,
+}
+
+impl Line {
+    fn new(ends: &[Point2<f64>; 2], camera: &Camera, first_from_view: UnitQuaternion<f64>) -> Option<Self> {
+        let length_px = (ends[1] - ends[0]).norm();
+        let rays = ends.map(|end| camera.ray_from_pixel(end));
+        let std = (END_STD_PX * 12.0_f64.sqrt() / length_px).hypot(PARALLEL_STD);
+        rays.iter().all(|ray| ray.z > 0.0).then(|| Self {
+            ends: rays.map(|ray| ray.xy() / ray.z),
+            first_from_view,
+            std,
+        })
+    }
+}
+
+/// A segment in front of a camera of some focal length.
+struct Sight {
+    /// Unit vector through its middle.
+    middle: Vector3<f64>,
+    /// Unit normal of its plane with the camera.
+    normal: Vector3<f64>,
+    std: f64,
+}
+
+impl Sight {
+    /// Deviation from the line towards a vanishing direction, standard deviations.
+    fn deviation(&self, direction: &Vector3<f64>) -> f64 {
+        let across = (1.0 - self.middle.dot(direction).powi(2)).max(1e-12).sqrt();
+        self.normal.dot(direction) / across / self.std
+    }
+}
+
+/// Inclination, roll, logarithm of the focal length, and the azimuths of the level directions.
+type Parameters = DVector<f64>;
+/// Index of the focal length, and of the first azimuth.
+const FOCAL: usize = 2;
+const LEVEL: usize = 3;
+
+struct Minimum {
+    cost: f64,
+    at: Parameters,
+    /// Of inclination, roll and focal length, the slope of roads included.
+    covariance: Matrix3<f64>,
+}
+
+impl Minimum {
+    fn common(&self) -> Vector3<f64> {
+        Vector3::new(self.at[0], self.at[1], self.at[FOCAL])
+    }
+}
+
+/// Minima, the least first, without those that are the same as a lesser one.
+fn distinct(minima: &[Minimum]) -> Vec<&Minimum> {
+    let mut distinct: Vec<&Minimum> = Vec::new();
+    for found in minima {
+        if distinct.iter().all(|other| (found.common() - other.common()).amax() > SAME) {
+            distinct.push(found);
+        }
+    }
+    distinct
+}
+
+struct Problem<'a> {
+    lines: &'a [Line],
+    /// For how many segments each of them counts.
+    weight: f64,
+    focal_std: f64,
+}
+
+impl Problem<'_> {
+    fn sights(&self, log_focal: f64) -> Vec<Sight> {
+        let depth = log_focal.exp();
+        let sight = |line: &Line| {
+            let [from, to] = line.ends.map(|end| line.first_from_view * Vector3::new(end.x, end.y, depth).normalize());
+            Sight { middle: (from + to).normalize(), normal: from.cross(&to).normalize(), std: line.std }
+        };
+        self.lines.iter().map(sight).collect()
+    }
+
+    /// Half of the squares of what is known beforehand.
+    fn prior(&self, roll: f64, log_focal: f64) -> f64 {
+        let of_focal = if self.focal_std > 0.0 { (log_focal / self.focal_std).powi(2) } else { 0.0 };
+        0.5 * ((roll / ROLL_STD).powi(2) + of_focal)
+    }
+
+    /// The best places of a grid that are not close to one another.
+    fn starts(&self) -> Vec<Parameters> {
+        const AZIMUTHS: usize = 90;
+        // Steps of the grid are wider than the deviations of long segments.
+        const WIDTH: f64 = 2.0;
+        let focal_lengths: &[f64] =
+            if self.focal_std > 0.0 { &[-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0] } else { &[0.0] };
+        let azimuth = |k: usize| std::f64::consts::PI * k as f64 / AZIMUTHS as f64;
+        let mut found: Vec<(f64, Parameters)> = Vec::new();
+        for log_focal in focal_lengths.iter().map(|by| by * self.focal_std) {
+            let mut sights = self.sights(log_focal);
+            sights.sort_by(|a, b| a.std.total_cmp(&b.std));
+            sights.truncate(NUM_SEARCHED);
+            let cost = |sight: &Sight, direction: &Vector3<f64>| (sight.deviation(direction) / WIDTH).powi(2).ln_1p();
+            for (pitch, roll) in (1..31).flat_map(|k| [-3.0, 0.0, 3.0].map(|roll: f64| (3.0 * f64::from(k), roll))) {
+                let (pitch, roll) = (f64::to_radians(pitch), roll.to_radians());
+                let mut least: Vec<f64> =
+                    sights.iter().map(|sight| cost(sight, &up_in_cam(Vector2::new(pitch, roll)))).collect();
+                let level: Vec<Vec<f64>> = (0..AZIMUTHS)
+                    .map(|k| {
+                        let direction = level(Vector2::new(pitch, roll), azimuth(k));
+                        sights.iter().map(|sight| cost(sight, &direction)).collect()
+                    })
+                    .collect();
+                // The directions one after the other, by what each explains beyond the others.
+                let mut chosen: Vec<f64> = Vec::new();
+                for _ in 0..NUM_LEVEL {
+                    let is_free = |k: &usize| chosen.iter().all(|other| apart(azimuth(*k), *other) > APART);
+                    let gain = |k: usize| {
+                        least.iter().zip(&level[k]).map(|(least, cost)| (least - cost).max(0.0)).sum::<f64>()
+                    };
+                    let best = (0..AZIMUTHS).filter(is_free).map(|k| (gain(k), k)).max_by(|a, b| a.0.total_cmp(&b.0));
+                    let Some((_, best)) = best else { break };
+                    least.iter_mut().zip(&level[best]).for_each(|(least, cost)| *least = least.min(*cost));
+                    chosen.push(azimuth(best));
+                }
+                let at = [pitch, roll, log_focal].into_iter().chain(chosen);
+                found.push((
+                    least.iter().sum::<f64>() + self.prior(roll, log_focal),
+                    DVector::from_iterator(LEVEL + NUM_LEVEL, at),
+                ));
+            }
+        }
+        found.sort_by(|a, b| a.0.total_cmp(&b.0));
+        let mut starts: Vec<Parameters> = Vec::new();
+        for (_, at) in found {
+            // As far apart as minima usually are.
+            let is_other =
+                |other: &Parameters| (at[0] - other[0]).abs() > 0.05 || (at[FOCAL] - other[FOCAL]).abs() > 0.08;
+            if starts.len() < NUM_STARTS && starts.iter().all(is_other) {
+                starts.push(at);
+            }
+        }
+        starts
+    }
+
+    /// Deviations of the segments from the directions that explain them best, and which these are.
+    fn deviations(&self, at: &Parameters) -> Vec<(f64, usize)> {
+        let directions = directions(at);
+        let least = |sight: &Sight| {
+            let all = directions.iter().map(|direction| sight.deviation(direction)).zip(0..);
+            all.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).unwrap_or((f64::INFINITY, 0))
+        };
+        self.sights(at[FOCAL]).iter().map(least).collect()
+    }
+
+    fn cost(&self, at: &Parameters) -> f64 {
+        let of_lines = self.deviations(at).iter().map(|(off, _)| 0.5 * LOSS.evaluate(off * off)[0]).sum::<f64>();
+        of_lines * self.weight + self.prior(at[1], at[FOCAL])
+    }
+
+    /// Share of the segments that a direction explains.
+    fn explained(&self, at: &Parameters) -> f64 {
+        let explained = self.deviations(at).iter().filter(|(off, _)| off.abs() < EXPLAINED).count();
+        explained as f64 / self.lines.len() as f64
+    }
+
+    /// Derivatives of the deviations by every parameter, and by the slope of the ground against the upright, each of
+    /// the assigned direction.
+    fn derivatives(&self, at: &Parameters, assigned: &[(f64, usize)]) -> (DMatrix<f64>, DMatrix<f64>) {
+        let of = |log_focal: f64, directions: [Vector3<f64>; NUM_LEVEL + 1]| {
+            let off = |(sight, (_, k)): (&Sight, &(f64, usize))| sight.deviation(&directions[*k]);
+            DVector::from_iterator(assigned.len(), self.sights(log_focal).iter().zip(assigned).map(off))
+        };
+        let here = of(at[FOCAL], directions(at));
+        let moved = |k: usize| {
+            let mut moved = at.clone();
+            moved[k] += STEP;
+            moved
+        };
+        let by = |k: usize| (of(moved(k)[FOCAL], directions(&moved(k))) - &here) / STEP;
+        let by_slope = |k: usize| {
+            let mut inclined = directions(at);
+            inclined[0] = directions(&moved(k))[0];
+            (of(at[FOCAL], inclined) - &here) / STEP
+        };
+        let all: Vec<DVector<f64>> = (0..at.len()).map(by).collect();
+        (DMatrix::from_columns(&all), DMatrix::from_columns(&[by_slope(0), by_slope(1)]))
+    }
+
+    /// The minimum near a start, with its covariance.
+    fn minimum(&self, mut at: Parameters) -> Option<Minimum> {
+        const ROUNDS: usize = 25;
+        let (mut cost, mut damping) = (self.cost(&at), 1e-6);
+        for _ in 0..ROUNDS {
+            let (information, gradient, _) = self.normal_equations(&at);
+            let diagonal = information.diagonal() * damping;
+            let damped = information + DMatrix::from_diagonal(&diagonal.add_scalar(1e-9));
+            let step = damped.cholesky().map(|factor| -factor.solve(&gradient));
+            let trial = step.map(|step| (self.cost(&(&at + &step)), step));
+            match trial.filter(|(of_trial, _)| *of_trial <= cost) {
+                Some((of_trial, step)) => {
+                    at += &step;
+                    (cost, damping) = (of_trial, damping * 0.1);
+                    if step.amax() < 1e-5 {
+                        break;
+                    }
+                }
+                None => damping *= 10.0,
+            }
+        }
+        let (information, _, by_slope) = self.normal_equations(&at);
+        let inverse = information.try_inverse()?;
+        let of_slope = &inverse * by_slope * SLOPE_STD;
+        let covariance = &inverse + &of_slope * of_slope.transpose();
+        Some(Minimum { cost, at, covariance: covariance.fixed_view::<LEVEL, LEVEL>(0, 0).into_owned() })
+    }
+
+    /// Information and gradient, and how the gradient moves with the slope of the ground.
+    fn normal_equations(&self, at: &Parameters) -> (DMatrix<f64>, DVector<f64>, DMatrix<f64>) {
+        let assigned = self.deviations(at);
+        let (by, by_slope) = self.derivatives(at, &assigned);
+        let weights = DVector::from_iterator(
+            assigned.len(),
+            assigned.iter().map(|(off, _)| self.weight * LOSS.evaluate(off * off)[1]),
+        );
+        let off = DVector::from_iterator(assigned.len(), assigned.iter().map(|(off, _)| *off));
+        let mut weighted = by.clone();
+        weighted.column_iter_mut().for_each(|mut column| column.component_mul_assign(&weights));
+        let (mut information, mut gradient) = (weighted.tr_mul(&by), weighted.tr_mul(&off));
+        let held = if self.focal_std > 0.0 { self.focal_std } else { 1e-6 };
+        for (k, std) in [(1, ROLL_STD), (FOCAL, held)] {
+            information[(k, k)] += std.powi(-2);
+            gradient[k] += at[k] / std.powi(2);
+        }
+        let of_slope = weighted.tr_mul(&by_slope);
+        (information, gradient, of_slope)
+    }
+}
+
+/// The upright direction and the level ones.
+fn directions(at: &Parameters) -> [Vector3<f64>; NUM_LEVEL + 1] {
+    let angles = Vector2::new(at[0], at[1]);
+    std::array::from_fn(|k| if k == 0 { up_in_cam(angles) } else { level(angles, at[LEVEL + k - 1]) })
+}
+
+/// A level direction; the azimuth is from the right of the image.
+fn level(angles: Vector2<f64>, azimuth: f64) -> Vector3<f64> {
+    let up = up_in_cam(angles);
+    let right = (Vector3::x() - up * up.x).normalize();
+    right * azimuth.cos() + up.cross(&right) * azimuth.sin()
+}
+
+/// Angle between two undirected azimuths.
+fn apart(a: f64, b: f64) -> f64 {
+    let off = (a - b).rem_euclid(std::f64::consts::PI);
+    off.min(std::f64::consts::PI - off)
+}
+
+#[cfg(test)]
+pub(crate) mod tests {
+    use super::*;
+
+    use nalgebra::Point3;
+    use rand::Rng as _;
+    use rand_distr::StandardNormal;
+
+    use crate::math::{Rng, seeded_rng};
+
+    fn camera() -> Camera {
+        Camera::with_focal(960, 540, 800.0)
+    }
+
+    /// Segments of a street with walls below a camera 30 m above it: kerbs along it and across it, and uprights; one in
+    /// ten has any direction.
+    pub(crate) fn street(camera: &Camera, up: &Vector3<f64>, slope: f64, rng: &mut Rng) -> Vec<[Point2<f64>; 2]> {
+        let angles = Vector2::new((-up.z).atan2(-up.y), up.x.asin());
+        let heading = rng.random_range(0.2..1.3);
+        let [along, across] = [0.0, std::f64::consts::FRAC_PI_2].map(|turn| level(angles, heading + turn));
+        let upright = (up + along * slope).normalize();
+        let ahead = level(angles, std::f64::consts::FRAC_PI_2);
+        let mut found = Vec::new();
+        while found.len() < 160 {
+            let place = ahead * (30.0 / angles.x.tan() + rng.random_range(-25.0..25.0))
+                + level(angles, 0.0) * rng.random_range(-25.0..25.0)
+                - up * rng.random_range(18.0..30.0);
+            let any = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal)).normalize();
+            let direction = match found.len() % 10 {
+                0..4 => along,
+                4..6 => across,
+                6..9 => upright,
+                _ => any,
+            };
+            let half = direction * rng.random_range(1.0..3.0);
+            let ends = [place - half, place + half].map(|end| camera.pixel_from_cam(Point3::from(end)));
+            let [Some(from), Some(to)] = ends else { continue };
+            if camera.contains(from) && camera.contains(to) && (to - from).norm() > 24.0 {
+                let mut noise = || Vector2::from_fn(|_, _| 0.3 * rng.sample::<f64, _>(StandardNormal));
+                found.push([from + noise(), to + noise()]);
+            }
+        }
+        found
+    }
+
+    fn in_first(segments: &[[Point2<f64>; 2]]) -> ViewSegments<'_> {
+        (UnitQuaternion::identity(), segments)
+    }
+
+    #[test]
+    fn lines_of_a_street_show_the_ground_and_the_focal_length() {
+        let mut rng = seeded_rng(3, 0);
+        for (pitch, roll, guess) in [(0.35, 0.01, 1.3), (0.7, -0.02, 0.8), (1.0, 0.0, 1.0)] {
+            let angles = Vector2::new(pitch, roll);
+            let segments = street(&camera(), &up_in_cam(angles), 0.0, &mut rng);
+            let initial = Camera::with_focal(960, 540, 800.0 * guess);
+            let found = horizon(&[in_first(&segments)], &initial, 0.25).unwrap();
+            let off = found.normal_in_cam.angle(&up_in_cam(angles));
+            let [log_focal, std] = found.log_focal;
+            assert!(off < 0.01 && found.covariance.trace().sqrt() < 0.06, "{pitch}: {off} {found:?}");
+            assert!((log_focal + f64::ln(guess)).abs() < 1.5 * std && std < 0.12, "{pitch}: {found:?}");
+            // The same street by a camera that has turned.
+            let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, 0.05, -0.01));
+            let up = turn.inverse() * up_in_cam(angles);
+            let turned = street(&camera(), &up, 0.0, &mut rng);
+            let both = horizon(&[in_first(&segments), (turn, &turned)], &camera(), 0.0).unwrap();
+            assert!(both.normal_in_cam.angle(&up_in_cam(angles)) < 0.01, "{both:?}");
+            let held = horizon(&[in_first(&segments)], &camera(), 0.0).unwrap();
+            assert!(held.normal_in_cam.angle(&up_in_cam(angles)) < 0.01 && held.log_focal[0].abs() < 1e-9, "{held:?}");
+        }
+    }
+
+    #[test]
+    fn the_slope_of_a_street_is_within_sigma() {
+        let mut rng = seeded_rng(4, 0);
+        let angles = Vector2::new(0.6, 0.0);
+        for slope in [-0.04, -0.02, 0.02, 0.04] {
+            let found =
+                horizon(&[in_first(&street(&camera(), &up_in_cam(angles), slope, &mut rng))], &camera(), 0.25).unwrap();
+            let off = found.normal_in_cam.angle(&up_in_cam(angles)) / found.covariance.trace().sqrt();
+            let of_focal = found.log_focal[0].abs() / found.log_focal[1];
+            assert!(off < 1.5 && of_focal < 1.5, "{slope}: {off} {of_focal}");
+        }
+    }
+
+    #[test]
+    fn lines_of_any_direction_show_nothing() {
+        let mut rng = seeded_rng(5, 0);
+        for num in [20, 60, 200] {
+            let mut segment = || {
+                let middle = Point2::new(rng.random_range(40.0..920.0), rng.random_range(40.0..500.0));
+                let angle: f64 = rng.random_range(0.0..std::f64::consts::PI);
+                let half = Vector2::new(angle.cos(), angle.sin()) * rng.random_range(12.0..30.0);
+                [middle - half, middle + half]
+            };
+            let segments: Vec<_> = (0..num).map(|_| segment()).collect();
+            assert_eq!(horizon(&[in_first(&segments)], &camera(), 0.25), None, "{num}");
+        }
+    }
+}
