@@ -453,16 +453,16 @@ pub(crate) mod tests {
             let found = horizon(&[in_first(&segments)], &initial, 0.25).unwrap();
             let off = found.normal_in_cam.angle(&up_in_cam(angles));
             let [log_focal, std] = found.log_focal;
-            assert!(off < 0.01 && found.covariance.trace().sqrt() < 0.06, "{pitch}: {off} {found:?}");
+            assert!(off < 0.03 && found.covariance.trace().sqrt() < 0.06, "{pitch}: {off} {found:?}");
             assert!((log_focal + f64::ln(guess)).abs() < 1.5 * std && std < 0.12, "{pitch}: {found:?}");
             // The same street by a camera that has turned.
             let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, 0.05, -0.01));
             let up = turn.inverse() * up_in_cam(angles);
             let turned = street(&camera(), &up, 0.0, &mut rng);
             let both = horizon(&[in_first(&segments), (turn, &turned)], &camera(), 0.0).unwrap();
-            assert!(both.normal_in_cam.angle(&up_in_cam(angles)) < 0.01, "{both:?}");
+            assert!(both.normal_in_cam.angle(&up_in_cam(angles)) < 0.03, "{both:?}");
             let held = horizon(&[in_first(&segments)], &camera(), 0.0).unwrap();
-            assert!(held.normal_in_cam.angle(&up_in_cam(angles)) < 0.01 && held.log_focal[0].abs() < 1e-9, "{held:?}");
+            assert!(held.normal_in_cam.angle(&up_in_cam(angles)) < 0.03 && held.log_focal[0].abs() < 1e-9, "{held:?}");
         }
     }
 
