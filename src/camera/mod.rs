@@ -31,6 +31,15 @@ pub const MAX_INCLINATION: f64 = 1.65;
 /// away.
 pub const LEAST_DIP: f64 = 0.03;
 
+/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one
+/// degree, poles within some.
+pub const ROLL_STD: f64 = 0.035;
+/// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
+/// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
+pub const SLOPE_STD: f64 = 0.035;
+/// Standard deviation of the tilt beyond which the ground below a camera is unknown, radians.
+pub const MAX_TILT_STD: f64 = 0.15;
+
 /// The vertical in the frame of a camera: regular straight down, too, where a roll about the axis is none.
 ///
 /// * `angles` – inclination below the horizon, and tilt to the right, radians.

@@ -7,8 +7,9 @@
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
 
+use super::Options;
 use super::plane::{Candidate, fit_plane};
-use super::{Options, SLOPE_STD};
+use crate::camera::SLOPE_STD;
 use crate::math::{Neighbors, median, seeded_rng};
 use crate::scene::{Image, Point3dId, Reconstruction};
 

@@ -1,4 +1,4 @@
-//! The ground below a camera that does not translate, from the vehicles on it.
+//! The ground below a camera that does not translate, from the vehicles on it and other sources of its tilt.
 //!
 //! Without translation no point of the background has a depth. But a vehicle keeps its size and points where it goes:
 //! on a plane with the unit normal n towards the camera, at the height 1 below it, the ray u meets the ground at the
@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
 use super::local::{LocalPlanes, SkipReason, SkippedFrame, lowest_foot, object_pixels};
-use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION, up_in_cam};
+use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION, MAX_TILT_STD, ROLL_STD, up_in_cam};
 use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconstruction};
 
@@ -102,10 +102,6 @@ impl StatedTilt {
     }
 }
 
-/// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
-/// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
-pub const SLOPE_STD: f64 = 0.035;
-
 /// Standard deviation of an extent's logarithm along one path, which masks and changes of the view leave.
 const EXTENT_STD: f64 = 0.05;
 /// Frames of a vehicle that count as one independent extent: masks err for a while.
@@ -120,14 +116,9 @@ const BOX_LENGTH: f64 = 0.01;
 const MOST_SIGHTS: usize = 20;
 /// Sights to both sides between which a vehicle's direction is taken.
 const REACH: usize = 3;
-/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one
-/// degree, poles within some.
-const ROLL_STD: f64 = 0.035;
 /// Smallest inclination that is tried, radians: a horizon just outside the image.
 const MIN_INCLINATION: f64 = 0.03;
 const NUM_PITCHES: usize = 120;
-/// Standard deviation of the tilt beyond which the ground is unknown, radians.
-const MAX_TILT_STD: f64 = 0.15;
 /// Fewest frames of a vehicle that counts.
 const MIN_FRAMES: usize = 6;
 /// Standard deviation of the ground's height below a vehicle as a share of the camera's: slopes and kerbs.

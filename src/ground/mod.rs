@@ -30,7 +30,7 @@ pub use camera_mount::{Mount, MountFailure, find_mount};
 pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use height::{CameraHeight, HeightFailure, camera_height};
-pub use hovering::{HoveringGround, SLOPE_STD, StatedTilt, TiltContradiction, TiltKind, hovering_ground};
+pub use hovering::{HoveringGround, StatedTilt, TiltContradiction, TiltKind, hovering_ground};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use plane::PlaneFailure;

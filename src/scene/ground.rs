@@ -34,7 +34,7 @@ pub enum PlaneBasis {
     Mount,
     /// The dominant plane of the whole place, far from the object or not.
     Dominant,
-    /// The sizes of vehicles, and a stated pitch, below a camera that does not translate.
+    /// The plane below a camera that does not translate, by straight lines, the sizes of vehicles and what is given.
     Vehicles,
 }
 
@@ -63,7 +63,7 @@ impl PlaneBasis {
             Self::Points => "ground around the object, without labels",
             Self::Mount => "one plane below a camera fixed to a vehicle",
             Self::Dominant => "dominant plane of the whole scene",
-            Self::Vehicles => "sizes of vehicles below a camera that does not translate",
+            Self::Vehicles => "one plane below a camera that does not translate",
         }
     }
 }

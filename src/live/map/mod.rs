@@ -22,12 +22,10 @@ use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
 use super::telemetry::TelemetryFeed;
 use super::window::{Snapshot, keyframes, known_points, sub_table};
 use super::{LiveError, Purpose};
-use crate::camera::Camera;
+use crate::camera::{Camera, SLOPE_STD};
 use crate::features::TrackTable;
 use crate::features::tracks::View;
-use crate::ground::{
-    BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, SLOPE_STD, dominant_plane_points, find_mount,
-};
+use crate::ground::{BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount};
 use crate::mapper::{self, Intrinsics, PosePriors};
 use crate::math::Rigid3;
 use crate::metric::{Level, Measured, ObservedPoint};

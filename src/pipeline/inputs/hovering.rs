@@ -8,9 +8,9 @@ use serde_json::{Value, json};
 
 use super::telemetry::{Origin, Telemetry};
 use super::{alignment, attitude, clock_offsets, telemetry};
-use crate::camera::Camera;
+use crate::camera::{Camera, SLOPE_STD};
 use crate::features::TrackTable;
-use crate::ground::{SLOPE_STD, StatedTilt, TiltKind};
+use crate::ground::{StatedTilt, TiltKind};
 use crate::io;
 use crate::mapper::{LineNormal, rotating_camera};
 use crate::math::Sim3;
