@@ -458,7 +458,10 @@ pub(crate) mod tests {
                 assert!(held.log_focal[0].abs() < 1e-9, "{held:?}");
                 // The same street by a camera that has turned.
                 let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, 0.05, -0.01));
-                let turned = street(&camera(), &(turn.inverse() * up), 0.0, &mut rng);
+                let in_turned =
+                    |end| camera().pixel_from_cam(Point3::from(turn.inverse() * camera().ray_from_pixel(end)));
+                let turned = segments.iter().map(|ends| ends.map(|end| in_turned(end).unwrap()));
+                let turned: Vec<[Point2<f64>; 2]> = turned.collect();
                 let both = horizon(&[in_first(&segments), (turn, &turned)], &camera(), 0.0).unwrap();
                 let found = [found, held, both].map(|found| found.normal_in_cam.angle(&up));
                 offs.iter_mut().zip(found).for_each(|(offs, off)| offs.push(off));
