@@ -170,8 +170,8 @@ fn find(
         let hovering = objects::hovering_ground(run)?;
         match &hovering {
             None => {
-                let text = "no ground found: the camera does not translate, and neither straight lines nor the sizes of \
-                            vehicles show the ground; give --camera-pitch or --map-points";
+                let text = "no ground found: the camera does not translate, and neither straight lines nor the sizes \
+                            of vehicles show the ground; give --camera-pitch or --map-points";
                 outcome.warn(Topic::NoGroundFound.warning(text));
             }
             Some(ground) => ground.contradictions.iter().for_each(|found| outcome.warn(contradiction(found))),
