@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use super::{ModelReport, failure};
 use crate::features::TrackTable;
 use crate::features::lines::ImageLines;
-use crate::mapper::{HoveringCamera, LineNormal, hovering_camera};
+use crate::mapper::{HoveringCamera, LineNormal, hovering_camera, rotating_camera};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::cameras::{self, InitialCamera};
@@ -22,6 +22,13 @@ const NORMAL: &str = "normal-by-lines.json";
 pub(in crate::pipeline) fn normal_by_lines(run: &Run) -> Option<LineNormal> {
     // A model that was given has no such file.
     run.workspace.read_state(NORMAL).ok().flatten()
+}
+
+/// Returns true if the camera stands: no map can be made then but of vehicles, or of turns that are taken for motion.
+pub(super) fn stands(run: &Run, table: &TrackTable) -> Result<bool, PipelineError> {
+    let camera = cameras::first(run)?.camera;
+    let found = on_threads(run.options.threads, || rotating_camera(table, &camera))?;
+    Ok(found.is_some_and(|found| found.is_still()))
 }
 
 /// Rotations of the views, with their report; `None` where rotations do not explain them.

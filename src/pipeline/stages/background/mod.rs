@@ -64,17 +64,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
     let mut outcome = Outcome::default();
     let (mut model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,
-        None => {
-            let initial = cameras::initial(run)?;
-            let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known)).collect();
-            let table = features::of_background(run)?;
-            let num_frames = table.views.len() as u64;
-            run.progress.begin("background", Some(num_frames));
-            let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
-            let found = reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?;
-            let is_other = !found.0.is_empty() || !order::found(run)?.in_time || run.options.scale.method_only;
-            if is_other { None } else { hovering::reconstruct(run, &mut outcome)? }.unwrap_or(found)
-        }
+        None => reconstruct_views(run, &mut outcome)?,
     };
     if !report.given {
         let std = prior_std(run, &model, false)?;
@@ -121,6 +111,26 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
     }
     outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
+}
+
+/// A map of the views, or rotations alone where the camera does not translate.
+fn reconstruct_views(run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction, ModelReport), PipelineError> {
+    let initial = cameras::initial(run)?;
+    let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known)).collect();
+    let table = features::of_background(run)?;
+    let may_hover = order::found(run)?.in_time && !run.options.scale.method_only;
+    if may_hover
+        && hovering::stands(run, &table)?
+        && let Some(found) = hovering::reconstruct(run, outcome)?
+    {
+        return Ok(found);
+    }
+    let num_frames = table.views.len() as u64;
+    run.progress.begin("background", Some(num_frames));
+    let mut watch = |share: f64| run.progress.reach((share * num_frames as f64) as u64);
+    let found = reconstruct(run, table, &cameras, &order::sfm_options(run)?.0.mapper, None, &mut watch)?;
+    let is_lost = may_hover && found.0.is_empty();
+    Ok(if is_lost { hovering::reconstruct(run, outcome)? } else { None }.unwrap_or(found))
 }
 
 /// Changes of the focal length in a video's background.
