@@ -22,9 +22,10 @@ const MAX_ERROR_PX: f64 = 6.0;
 /// Share of the points of a view that must agree on its rotation: traffic may have most of them.
 const MIN_SHARE: f64 = 0.35;
 /// Share of the views that must have one: fewer are another kind of video. Of those of two drones and two dashcams that
-/// move, 0.05 to 0.41 have one, with residuals of 2 to 5 pixels; of ten cameras on poles, 0.9 to 1.
+/// move, 0.05 to 0.41 have one, with residuals of 2 to 5 pixels; of twelve cameras on poles and bridges, 0.9 to 1.
 const MIN_VIEWS: f64 = 0.8;
-/// Residual up to which there is no sway to speak of, pixels: cameras on poles have 0.04 to 0.7.
+/// Residual up to which no sway is left that a map needs, pixels: cameras on poles have 0.04 to 0.7, two rendered
+/// drones in the wind 0.3.
 const STILL_PX: f64 = 1.0;
 /// Sweeps over all views after the first.
 const SWEEPS: usize = 3;
@@ -39,7 +40,7 @@ pub struct RotatingCamera {
 }
 
 impl RotatingCamera {
-    /// Returns true if it does not sway, so that no map can be made of its views.
+    /// Returns true if it sways so little that no map can be made of its views.
     pub fn is_still(&self) -> bool {
         self.error_px <= STILL_PX
     }
