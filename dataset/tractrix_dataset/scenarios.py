@@ -167,6 +167,27 @@ def _hovering_leaving(vehicle: str, r: np.random.Generator) -> Trajectory:
     return replace(hovering, name="hovering_leaving", flight=replace(hovering.flight, away=away))
 
 
+def _hovering_hill(vehicle: str, r: np.random.Generator) -> Trajectory:
+    """A drone hovers at 40 to 60 m where a street begins to climb, by up to 14 %; vehicles drive both ways."""
+    start = 402.0 + r.uniform(-4, 4)
+    target = Drive("north", start, 1, 1.5, _steady(8.0 + r.uniform(-0.5, 0.5)))
+    above = replace(target, start=start + 62.0 + r.uniform(-2, 2))
+    down = Drive("north", start + 108.0, -1, 1.5, _steady(9.0 + r.uniform(-0.5, 0.5)))
+    down_too = replace(down, start=start + 46.0 + r.uniform(-2, 2))
+    height, pitch = r.uniform(40.0, 60.0), np.radians(r.uniform(40.0, 55.0))
+    flight = Flight(ALL_ROUND, 0.0, (height / np.tan(pitch),) * 2, (height,) * 2, wind=r.uniform(0.1, 0.4))
+    others = (("saloon", above), ("van", down), ("saloon", down_too))
+    return Trajectory("hovering_hill", target, flight, others, near_degenerate=True, sun=(50.0, 140.0))
+
+
+def _hovering_nadir(vehicle: str, r: np.random.Generator) -> Trajectory:
+    """As `hovering_high` at 40 to 110 m, 84° to 90° down."""
+    high = _hovering_high(vehicle, r)
+    height, pitch = r.uniform(40.0, 110.0), np.radians(r.uniform(84.0, 89.5))
+    flight = replace(high.flight, distance=(height / np.tan(pitch),) * 2, height=(height,) * 2)
+    return replace(high, name="hovering_nadir", flight=flight)
+
+
 Scenario = Callable[[str, np.random.Generator], Trajectory]
 SCENARIOS: dict[str, Scenario] = {
     "occlusion_lorry": _occlusion_lorry,
@@ -180,6 +201,8 @@ SCENARIOS: dict[str, Scenario] = {
     "hovering": _hovering,
     "hovering_high": _hovering_high,
     "hovering_leaving": _hovering_leaving,
+    "hovering_hill": _hovering_hill,
+    "hovering_nadir": _hovering_nadir,
 }
 NAMES = (*TRAJECTORIES, *SCENARIOS)
 # What is rendered of each scenario, in the order in which it is useful.
@@ -196,6 +219,8 @@ CHOSEN = (
     ("hovering", "hatchback"),
     ("hovering_high", "suv"),
     ("hovering_leaving", "saloon"),
+    ("hovering_hill", "suv"),
+    ("hovering_nadir", "van"),
 )
 
 
