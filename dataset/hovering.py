@@ -24,6 +24,8 @@ LATITUDE, LONGITUDE = 48.1, 9.2
 RADII = (6370500.0, 6390000.0 * np.cos(np.radians(LATITUDE)))
 # Standard deviations of the inputs: gimbal's yaw, pitch, roll (degrees), position and height (m), map (m), pixel.
 GIMBAL_STD, RECEIVER_STD, HEIGHT_STD, MAP_STD, PIXEL_STD = (3.0, 0.7, 0.5), 2.0, 1.5, 0.3, 1.0
+# The same of a stated focal length, as a share: video modes show less than the whole sensor.
+FOCAL_STD = 0.05
 # Where points are picked, as shares of width and height.
 PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
 # Height above the ground at which vehicles are seen, metres: half of a car's.
@@ -78,6 +80,8 @@ def write_inputs(sequence: Path, output: Path, seed: int) -> None:
     truth, r = Truth.read(sequence), np.random.default_rng(seed)
     gimbal, position = r.normal(0, GIMBAL_STD), np.array([*r.normal(0, RECEIVER_STD, 2), r.normal(0, HEIGHT_STD)])
     step = 1.0 / truth.scene["fps"]
+    error = np.exp(np.random.default_rng([seed, 1]).normal(0, FOCAL_STD))
+    film_mm = 35.3 * truth.scene["K"][0][0] / truth.scene["width"] * error
     lines = []
     for k, camera in enumerate(truth.cameras):
         ahead, right = camera[:3, 2], camera[:3, 0]
@@ -90,7 +94,7 @@ def write_inputs(sequence: Path, output: Path, seed: int) -> None:
         start, end = (f"00:00:{t:06.3f}".replace(".", ",") for t in (k * step, (k + 1) * step - 1e-3))
         lines += [f"{k + 1}", f"{start} --> {end}", f"FrameCnt: {k + 1}, DiffTime: 100ms"]
         lines += [
-            f"[latitude: {latitude:.6f}] [longitude: {longitude:.6f}] "
+            f"[focal_len: {film_mm:.2f}] [latitude: {latitude:.6f}] [longitude: {longitude:.6f}] "
             f"[rel_alt: {at[2]:.3f} abs_alt: {at[2] + 400:.3f}] "
             f"[gb_yaw: {yaw:.1f} gb_pitch: {pitch:.1f} gb_roll: {roll:.1f}]",
             "",

@@ -206,6 +206,8 @@ pub struct Log {
     pub exposure_s: Option<Range>,
     /// Camera and lens.
     pub lens: Option<Lens>,
+    /// Shortest and longest focal length that would show as much on film, millimeters.
+    pub film_focal_mm: Option<Range>,
     /// Number of fixes that it can hold.
     pub(super) room: Room,
 }

@@ -77,6 +77,8 @@ pub struct Summary {
     pub exposure_s: Option<Range>,
     /// Camera and lens.
     pub lens: Option<Lens>,
+    /// Focal lengths that would show as much on film, millimeters.
+    pub film_focal_mm: Option<Range>,
     /// Number of lines that should have given a fix and did not.
     pub num_passed_over: usize,
     /// The first of them.
@@ -111,6 +113,7 @@ impl Log {
             num_rotations: self.camera.iter().filter(|sample| sample.image_from_start.is_some()).count(),
             exposure_s: self.exposure_s,
             lens: self.lens.clone(),
+            film_focal_mm: self.film_focal_mm,
             num_passed_over: self.num_passed_over,
             passed_over: self.passed_over.clone(),
         }
@@ -185,6 +188,9 @@ impl Summary {
         }
         if let Some(lens) = &self.lens {
             line("lens", lens.as_text());
+        }
+        if let Some(Range { least, most }) = self.film_focal_mm {
+            line("focal length", format!("{least} to {most} mm (35 mm equivalent)"));
         }
         line("skipped", self.num_passed_over.to_string());
         self.passed_over.iter().for_each(|passed| line("", passed.to_string()));

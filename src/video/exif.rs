@@ -71,13 +71,18 @@ pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     stated_px(exif, width, height).filter(|focal_px| LENSES.contains(&(focal_px / longer_px)))
 }
 
+/// Focal length in pixels of a picture of `width` × `height`, by the one that shows as much on film, millimeters.
+pub fn focal_px_of_equivalent(equivalent_mm: f64, width: u32, height: u32) -> f64 {
+    equivalent_mm / film_side_mm(width, height) * f64::from(width.max(height))
+}
+
 fn stated_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     let longer_px = f64::from(width.max(height));
     if was_cut(exif, width, height) {
         return None;
     }
     if let Some(equivalent_mm) = number(exif, Tag::FocalLengthIn35mmFilm) {
-        return Some(equivalent_mm / film_side_mm(width, height) * longer_px);
+        return Some(focal_px_of_equivalent(equivalent_mm, width, height));
     }
     let focal_mm = number(exif, Tag::FocalLength)?;
     let pixels_per_unit = number(exif, Tag::FocalPlaneXResolution)?;

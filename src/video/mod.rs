@@ -39,7 +39,7 @@ mod tracks;
 
 pub use cameras::PictureCamera;
 pub use error::VideoError;
-pub use exif::{Taken, taken};
+pub use exif::{Taken, focal_px_of_equivalent, taken};
 pub use gpmf::{Gpmf, Payload, gpmf};
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;

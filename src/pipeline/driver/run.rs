@@ -65,6 +65,8 @@ pub(in crate::pipeline) struct Run<'a> {
     /// Anomalies of the input, found before any stage.
     warnings: Vec<String>,
     frames: OnceCell<Vec<Frame>>,
+    /// Focal length that would show as much on film, by the log of a video, millimeters.
+    pub(in crate::pipeline) film_focal_mm: OnceCell<Option<f64>>,
     said_anew: Cell<bool>,
 }
 
@@ -77,8 +79,20 @@ impl<'a> Run<'a> {
         progress: &'a dyn Progress,
     ) -> Self {
         let (records, warnings, frames, said_anew) = (Vec::new(), Vec::new(), OnceCell::new(), Cell::new(false));
-        let goal = Stage::Report;
-        Self { options, workspace, source, arguments, progress, goal, records, warnings, frames, said_anew }
+        let (goal, film_focal_mm) = (Stage::Report, OnceCell::new());
+        Self {
+            options,
+            workspace,
+            source,
+            arguments,
+            progress,
+            goal,
+            records,
+            warnings,
+            frames,
+            film_focal_mm,
+            said_anew,
+        }
     }
 
     pub(in crate::pipeline) fn input(&self) -> &Path {

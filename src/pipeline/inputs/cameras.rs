@@ -9,7 +9,7 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::order;
+use super::{order, telemetry};
 use crate::camera::Camera;
 use crate::io::interchange::colmap;
 use crate::mapper::Intrinsics;
@@ -17,7 +17,7 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::options::{IntrinsicsSource, not_intrinsics};
 use crate::pipeline::{Instances, Options, PipelineError};
 use crate::scene::{Frame, FrameId, Warning};
-use crate::video::{PictureCamera, Source};
+use crate::video::{PictureCamera, Source, focal_px_of_equivalent};
 
 /// A camera before the background is reconstructed, at the size of its pictures.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -43,11 +43,12 @@ pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>, Pipe
     let taken = taken(run)?;
     let given = of_options(run, taken)?;
     let example = given.iter().flatten().next().copied();
+    let logged = if example.is_none() { telemetry::film_focal_mm(run) } else { None };
     let camera = |(taken, given): (&PictureCamera, Option<Camera>)| {
         let (camera, origin) = match given {
             Some(camera) => (camera, CameraOrigin::Given),
             None => {
-                let (camera, origin) = unknown_camera(taken, &order::found(run)?);
+                let (camera, origin) = unknown_camera(taken, &order::found(run)?, logged);
                 let beside = example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_beside(&given, taken));
                 (beside.unwrap_or(camera), origin)
             }
@@ -55,6 +56,7 @@ pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>, Pipe
         let known = match origin {
             CameraOrigin::Given => run.options.intrinsics_std,
             CameraOrigin::Exif => Intrinsics::STATED,
+            CameraOrigin::Log => Intrinsics::LOGGED,
             CameraOrigin::Guess => Intrinsics::GUESSED,
         };
         Ok(InitialCamera { camera, origin, known })
@@ -197,12 +199,22 @@ fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<
 }
 
 /// The camera as the input tells it, where nobody gives it; what is guessed depends on how the pictures were taken.
-fn unknown_camera(pictures: &PictureCamera, order: &order::Order) -> (Camera, CameraOrigin) {
+///
+/// * `film_focal_mm` – focal length that would show as much on film, by the log of a video.
+fn unknown_camera(
+    pictures: &PictureCamera,
+    order: &order::Order,
+    film_focal_mm: Option<f64>,
+) -> (Camera, CameraOrigin) {
     let (width, height) = (pictures.width, pictures.height);
-    match pictures.exif_focal_px {
-        Some(focal) => (Camera::with_focal(width, height, focal), CameraOrigin::Exif),
-        None if order.in_time => (Camera::prior(width, height), CameraOrigin::Guess),
-        None => (Camera::prior_of_photograph(width, height), CameraOrigin::Guess),
+    match (pictures.exif_focal_px, film_focal_mm) {
+        (Some(focal), _) => (Camera::with_focal(width, height, focal), CameraOrigin::Exif),
+        (None, Some(equivalent_mm)) => {
+            let focal = focal_px_of_equivalent(equivalent_mm, width, height);
+            (Camera::with_focal(width, height, focal), CameraOrigin::Log)
+        }
+        (None, None) if order.in_time => (Camera::prior(width, height), CameraOrigin::Guess),
+        (None, None) => (Camera::prior_of_photograph(width, height), CameraOrigin::Guess),
     }
 }
 
@@ -214,6 +226,8 @@ pub(in crate::pipeline) enum CameraOrigin {
     Given,
     /// The photographs.
     Exif,
+    /// The log of a drone.
+    Log,
     /// Nothing: a guess, [`Camera::prior`] or [`Camera::prior_of_photograph`].
     Guess,
 }
@@ -291,9 +305,11 @@ mod tests {
         };
         for (in_time, expected) in [(true, 360.0), (false, 480.0)] {
             let order = order::Order { in_time, followed_share: None };
-            let (camera, origin) = unknown_camera(&pictures(None), &order);
+            let (camera, origin) = unknown_camera(&pictures(None), &order, Some(35.3));
+            assert_eq!((camera.focal, origin), ([480.0; 2], CameraOrigin::Log));
+            let (camera, origin) = unknown_camera(&pictures(None), &order, None);
             assert_eq!((camera.focal, origin), ([expected; 2], CameraOrigin::Guess));
-            let (camera, origin) = unknown_camera(&pictures(Some(500.0)), &order);
+            let (camera, origin) = unknown_camera(&pictures(Some(500.0)), &order, Some(35.3));
             assert_eq!((camera.focal, origin), ([500.0; 2], CameraOrigin::Exif));
         }
     }

@@ -9,7 +9,7 @@ use crate::memory::MemoryLimit;
 use crate::pipeline::TelemetryChoice;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{Frame, Topic};
-use crate::telemetry::{self, Log, TelemetryError};
+use crate::telemetry::{self, Log, Range, TelemetryError};
 use crate::video::{self, Kind, VideoError};
 
 /// Where telemetry was found.
@@ -88,6 +88,18 @@ pub(in crate::pipeline) fn find(run: &Run, outcome: &mut Outcome) -> Option<Tele
         say(found, outcome);
     }
     found
+}
+
+/// Focal length that would show as much on film, millimeters, by the log of a video; `None` where it changes.
+pub(in crate::pipeline) fn film_focal_mm(run: &Run) -> Option<f64> {
+    /// Ratio of focal lengths from which on a lens zooms: logs round to a hundredth or a tenth of a millimeter.
+    const ZOOM: f64 = 1.02;
+    let of_log = || {
+        let is_video = run.info().kind == Kind::Video;
+        let Range { least, most } = is_video.then(|| find(run, &mut Outcome::default()))??.log.film_focal_mm?;
+        (most < ZOOM * least).then_some(least)
+    };
+    *run.film_focal_mm.get_or_init(of_log)
 }
 
 fn named(path: &Path, run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {

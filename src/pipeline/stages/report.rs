@@ -381,6 +381,7 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
         CameraOrigin::Given if run.options.intrinsics_std.is_fixed() => "given",
         CameraOrigin::Given => "given, adjusted with the background",
         CameraOrigin::Exif => "from EXIF, refined with the background",
+        CameraOrigin::Log => "from the log, refined with the background",
         CameraOrigin::Guess => "estimated with the background",
     };
     // A background that was not reconstructed has only the camera to begin with.

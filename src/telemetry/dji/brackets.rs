@@ -58,6 +58,14 @@ pub(super) fn read(text: &str, line: usize) -> Result<Fix, String> {
     })
 }
 
+/// Focal length that would show as much on film, millimeters: 24.00 in newer firmware, 240 for the same in older one,
+/// which writes no decimals.
+pub(super) fn film_focal_mm(text: &str) -> Option<f64> {
+    let (_, value) = values(text).into_iter().find(|(name, _)| *name == "focal_len")?;
+    let focal_mm = if value.contains('.') { number(value)? } else { number(value)? / 10.0 };
+    (focal_mm > 0.0).then_some(focal_mm)
+}
+
 fn angles<'a>(value: &impl Fn(&str) -> Option<&'a str>, names: [&str; 3]) -> Option<Angles> {
     let [yaw, pitch, roll] = names.map(|name| value(name).and_then(number));
     Some(Angles::from_degrees(yaw?, pitch?, roll?))

@@ -11,6 +11,7 @@ mod words;
 
 use super::fix::{Fix, Log};
 use super::srt::Subtitle;
+use super::summary::Range;
 use super::time;
 
 /// One way in which a drone writes down where it is.
@@ -47,6 +48,9 @@ pub(super) fn recognize(text: &str) -> Option<&'static Dialect> {
 /// Reads one block into the log.
 pub(super) fn read_block(block: &Subtitle, log: &mut Log) {
     let text = block.lines.join(" ");
+    if let Some(focal_mm) = brackets::film_focal_mm(&text) {
+        log.film_focal_mm = Some(Range::with(log.film_focal_mm, focal_mm));
+    }
     match recognize(&text) {
         None if text.is_empty() => log.pass_over(block.line, "block truncated after its time"),
         None => log.pass_over(block.line, "block of unknown dialect, or truncated"),
@@ -118,6 +122,27 @@ mod tests {
         ]);
         assert_eq!(dialect, "dji-brackets-altitude");
         assert_eq!(place(&found), (-57.25, -34.5, None, Some(74.725998)));
+    }
+
+    #[test]
+    fn focal_lengths_are_those_of_film() {
+        let read = |blocks: &[&str]| {
+            let mut log = Log::default();
+            blocks
+                .iter()
+                .for_each(|text| read_block(&Subtitle { line: 3, start_s: None, lines: vec![text] }, &mut log));
+            log.film_focal_mm.map(|Range { least, most }| (least, most))
+        };
+        let place = "[latitude: 48.1] [longitude: 9.2]";
+        for (text, expected) in [("[focal_len: 24.00]", 24.0), ("[focal_len : 240]", 24.0), ("[focal_len: 162]", 16.2)]
+        {
+            assert_eq!(read(&[&format!("[iso: 100] {text} {place}")]), Some((expected, expected)), "{text}");
+        }
+        let zoomed = [format!("[focal_len: 24.00] {place}"), "[iso: 100] [focal_len: 48.00]".to_owned()];
+        assert_eq!(read(&zoomed.each_ref().map(String::as_str)), Some((24.0, 48.0)));
+        for text in ["[focal_len: 0.00]", "[focal_len: ]", "[iso: 100]", "[focal_len: nan]", "[focal_len: -24.00]"] {
+            assert_eq!(read(&[text]), None, "{text}");
+        }
     }
 
     #[test]
