@@ -152,6 +152,7 @@ fn contact_between(a: &GroundPosition, b: &GroundPosition, at: &Moment) -> Groun
         noise: std::array::from_fn(|row| at.numbers(a.error.noise[row], b.error.noise[row])),
         drift: at.numbers(a.error.drift, b.error.drift),
         common: at.numbers(a.error.common, b.error.common),
+        focal: at.numbers(a.error.focal, b.error.focal),
     };
     GroundPosition {
         frame: nearer.frame,

@@ -32,7 +32,7 @@ pub struct HoveringGround {
     pub normal_in_world: Vector3<f64>,
     /// A point of it: one unit below the camera that is at the origin.
     pub point_in_world: Point3<f64>,
-    /// Standard deviation of its tilt about any horizontal axis, radians.
+    /// Standard deviation of its tilt about any horizontal axis, radians, without that of the focal length.
     pub tilt_std: f64,
     /// Vehicles that show it.
     pub num_vehicles: usize,
@@ -42,6 +42,8 @@ pub struct HoveringGround {
     pub sources: Vec<StatedTilt>,
     /// Sources that contradict all others.
     pub contradictions: Vec<TiltContradiction>,
+    /// Change of the normal by one standard deviation of the focal length.
+    pub normal_by_focal: Vector3<f64>,
 }
 
 /// The ground's tilt against the camera of the first frame by another source than vehicles.
@@ -102,10 +104,13 @@ impl StatedTilt {
     }
 }
 
-/// Standard deviation of an extent's logarithm along one path, which masks and changes of the view leave.
-const EXTENT_STD: f64 = 0.05;
+/// Standard deviation of an extent's logarithm along one path, which masks and changes of the view leave: 0.03 to 0.1
+/// on two rendered flights looking straight down.
+const EXTENT_STD: f64 = 0.07;
 /// Frames of a vehicle that count as one independent extent: masks err for a while.
 const FRAMES_TOGETHER: f64 = 10.0;
+/// Most independent extents of a vehicle: masks also grow along the whole path, as shadows become part of them.
+const MOST_EXTENTS: f64 = 3.0;
 /// Standard deviation of the logarithm of lengths among vehicles: cars, vans, and now and then a lorry.
 const SIZE_STD: f64 = 0.4;
 /// Width and height of a vehicle over its length: a car's.
@@ -130,71 +135,97 @@ const MAX_DEVIATIONS: f64 = 3.0;
 /// The ground that explains the sizes of vehicles and other sources; `None` where they do not determine it.
 ///
 /// * `vehicles` – images of each vehicle, in images of `background`, all of whose cameras are at the origin.
+/// * `focal_std` – standard deviation of the focal length as a share of it.
 pub fn hovering_ground(
     background: &Reconstruction,
     vehicles: &[BTreeMap<FrameId, ObjectImage>],
     stated: Vec<StatedTilt>,
+    focal_std: f64,
 ) -> Option<HoveringGround> {
     let first = background.images.values().next()?;
+    let world_from_cam = first.cam_from_world.rotation.inverse();
+    let problem = |zoom: f64| Problem { vehicles: sights(background, vehicles, zoom), world_from_cam };
+    let (problem, zoomed) = (problem(1.0), [-focal_std, focal_std].map(|log_focal| problem(log_focal.exp())));
+    // The focal length is not adjusted: its share is what the angles would be with another one.
+    let solved = |stated: &[&StatedTilt]| {
+        let (angles, covariance) = problem.minimum(stated, None)?;
+        let [shorter, longer] = [&zoomed[0], &zoomed[1]].map(|zoomed| zoomed.minimum(stated, Some(angles)));
+        Some((angles, covariance, 0.5 * (longer?.0 - shorter?.0)))
+    };
+    let all: Vec<&StatedTilt> = stated.iter().collect();
+    let against_others = |k: usize| {
+        let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
+        let (angles, covariance, by_focal) = solved(&others)?;
+        let others_std = |axis: usize| covariance[(axis, axis)].sqrt().hypot(by_focal[axis]);
+        let off = |(axis, off, std): (usize, f64, f64)| (off, off / std.hypot(others_std(axis)));
+        Some((k, all[k].differences(angles).map(off).collect::<Vec<_>>()))
+    };
+    let deviations: Vec<(usize, Vec<(f64, f64)>)> = (0..all.len()).filter_map(against_others).collect();
+    let contradiction = |(k, off): &(usize, Vec<(f64, f64)>)| {
+        let deviations = off.iter().map(|(_, deviations)| deviations.abs()).fold(0.0, f64::max);
+        let angle = off.iter().map(|(off, _)| *off).fold(0.0, f64::hypot);
+        let source = all[*k].source.clone();
+        (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
+    };
+    let contradictions = deviations.iter().filter_map(contradiction).collect();
+    let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.known_angles());
+    // Sources that disagree know less than they state (Birge's ratio); a map is the ground as it is.
+    let squares: Vec<f64> = deviations.iter().flat_map(|(_, off)| off).map(|(_, off)| off * off).collect();
+    let disagreement = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
+    let (disagreement, (angles, covariance, by_focal)) = match of_map {
+        Some((angles, covariance)) => (1.0, (angles, covariance, Vector2::zeros())),
+        None => (disagreement.max(1.0), solved(&all)?),
+    };
+    let tilt_std = covariance.trace().sqrt();
+    let normal = |angles: Vector2<f64>| world_from_cam * up_in_cam(angles);
+    let normal_in_world = normal(angles);
+    (tilt_std <= MAX_TILT_STD).then(|| HoveringGround {
+        normal_in_world,
+        point_in_world: Point3::from(-normal_in_world),
+        tilt_std: disagreement * tilt_std,
+        num_vehicles: problem.vehicles.len(),
+        pitch: angles.x,
+        sources: stated,
+        contradictions,
+        normal_by_focal: 0.5 * (normal(angles + by_focal) - normal(angles - by_focal)),
+    })
+}
+
+/// Sights of the vehicles in the frames, by cameras whose focal length is `zoom` times the one of the background.
+fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, ObjectImage>], zoom: f64) -> Vec<Vehicle> {
     let by_frame: BTreeMap<FrameId, &Image> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
     let sights_of = |vehicle: &BTreeMap<FrameId, ObjectImage>| {
         let step = vehicle.len().div_ceil(MOST_SIGHTS).max(1);
         let sight = |(frame, seen): (&FrameId, &ObjectImage)| {
             let image = by_frame.get(frame)?;
-            let (camera, cam_from_world) = (background.camera_of(image), image.cam_from_world.rotation);
+            let (camera, cam_from_world) = (background.camera_of(image).zoomed(zoom), image.cam_from_world.rotation);
             let ray = cam_from_world.inverse() * camera.ray_from_pixel(seen.middle);
             let log_extent = seen.extent_px.ln();
             log_extent.is_finite().then_some(Sight { camera, cam_from_world, ray, log_extent })
         };
         let sights: Vec<Sight> = vehicle.iter().step_by(step).filter_map(sight).collect();
-        Vehicle { weight: vehicle.len() as f64 / FRAMES_TOGETHER / sights.len().max(1) as f64, sights }
+        let extents = (vehicle.len() as f64 / FRAMES_TOGETHER).min(MOST_EXTENTS);
+        Vehicle { weight: extents / sights.len().max(1) as f64, sights }
     };
-    let vehicles: Vec<Vehicle> = vehicles.iter().filter(|images| images.len() >= MIN_FRAMES).map(sights_of).collect();
-    let world_from_cam = first.cam_from_world.rotation.inverse();
-    let problem = Problem { vehicles: &vehicles, world_from_cam };
-    let all: Vec<&StatedTilt> = stated.iter().collect();
-    let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.known_angles());
-    let (angles, covariance) = of_map.or_else(|| problem.minimum(&all))?;
-    let contradiction = |k: usize| {
-        let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
-        let (angles, covariance) = problem.minimum(&others)?;
-        let deviations =
-            all[k].differences(angles).map(|(k, off, std)| off.abs() / std.hypot(covariance[(k, k)].sqrt()));
-        let deviations = deviations.fold(0.0, f64::max);
-        let angle = all[k].differences(angles).map(|(_, off, _)| off).fold(0.0, f64::hypot);
-        let source = all[k].source.clone();
-        (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
-    };
-    let contradictions = (0..all.len()).filter_map(contradiction).collect();
-    let tilt_std = covariance.trace().sqrt();
-    let normal_in_world = world_from_cam * up_in_cam(angles);
-    (tilt_std <= MAX_TILT_STD).then(|| HoveringGround {
-        normal_in_world,
-        point_in_world: Point3::from(-normal_in_world),
-        tilt_std,
-        num_vehicles: vehicles.len(),
-        pitch: angles.x,
-        sources: stated,
-        contradictions,
-    })
+    vehicles.iter().filter(|images| images.len() >= MIN_FRAMES).map(sights_of).collect()
 }
 
 /// A vehicle in one frame.
-struct Sight<'a> {
-    camera: &'a Camera,
+struct Sight {
+    camera: Camera,
     cam_from_world: UnitQuaternion<f64>,
     /// Unit vector in the world, through its middle.
     ray: Vector3<f64>,
     log_extent: f64,
 }
 
-struct Vehicle<'a> {
-    sights: Vec<Sight<'a>>,
+struct Vehicle {
+    sights: Vec<Sight>,
     /// Independent extents for which each of them counts.
     weight: f64,
 }
 
-impl Vehicle<'_> {
+impl Vehicle {
     /// Logarithms of its length by its sights, if the ground has this normal; it must move.
     fn log_lengths(&self, normal: &Vector3<f64>) -> Vec<Option<f64>> {
         // Above the horizon there is no ground: as far away as can be.
@@ -211,7 +242,7 @@ impl Vehicle<'_> {
     }
 }
 
-impl Sight<'_> {
+impl Sight {
     /// Extent of a box of unit length on the ground, pixels; `None` where it is behind the camera.
     fn box_extent_px(&self, middle: &Vector3<f64>, forward: &Vector3<f64>, up: &Vector3<f64>) -> Option<f64> {
         let left = up.cross(forward);
@@ -230,8 +261,8 @@ impl Sight<'_> {
     }
 }
 
-struct Problem<'a> {
-    vehicles: &'a [Vehicle<'a>],
+struct Problem {
+    vehicles: Vec<Vehicle>,
     /// Of the first frame.
     world_from_cam: UnitQuaternion<f64>,
 }
@@ -261,16 +292,17 @@ impl Local {
 /// Index of the common logarithm of lengths; those of the vehicles follow.
 const LENGTH: usize = 2;
 
-impl Problem<'_> {
-    /// The angles that explain vehicles and sources best, with their covariance.
-    fn minimum(&self, stated: &[&StatedTilt]) -> Option<(Vector2<f64>, Matrix2<f64>)> {
+impl Problem {
+    /// The angles that explain vehicles and sources best, near some angles or anywhere, with their covariance.
+    fn minimum(&self, stated: &[&StatedTilt], near: Option<Vector2<f64>>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         const ROUNDS: usize = 40;
-        let candidates = (0..=NUM_PITCHES).map(|k| {
+        let candidate = |k: usize| {
             let pitch = MIN_INCLINATION + (MAX_INCLINATION - MIN_INCLINATION) * k as f64 / NUM_PITCHES as f64;
             self.start(Vector2::new(pitch, 0.0))
-        });
+        };
         let cost = |at: &Parameters| self.local(at, stated).cost;
-        let mut at = candidates.min_by(|a, b| cost(a).total_cmp(&cost(b)))?;
+        let best = || (0..=NUM_PITCHES).map(candidate).min_by(|a, b| cost(a).total_cmp(&cost(b)));
+        let mut at = near.map(|angles| self.start(angles)).or_else(best)?;
         let (mut here, mut damping) = (self.local(&at, stated), 1e-6);
         for _ in 0..ROUNDS {
             let diagonal = here.information.diagonal() * damping;
@@ -290,7 +322,8 @@ impl Problem<'_> {
         }
         let covariance = here.information.try_inverse()?.fixed_view::<2, 2>(0, 0).into_owned();
         let is_known = covariance.iter().all(|x| x.is_finite()) && covariance[(0, 0)] > 0.0 && covariance[(1, 1)] > 0.0;
-        is_known.then(|| (Vector2::new(at[0], at[1]), covariance))
+        let is_possible = (0.0..=MAX_INCLINATION).contains(&at[0]);
+        (is_known && is_possible).then(|| (Vector2::new(at[0], at[1]), covariance))
     }
 
     fn normal(&self, angles: Vector2<f64>) -> Vector3<f64> {
@@ -323,7 +356,7 @@ impl Problem<'_> {
         // What no vehicle shows stays where it is.
         local.information[(LENGTH, LENGTH)] += f64::EPSILON;
         let normals = [[0.0, 0.0], [STEP, 0.0], [0.0, STEP]].map(|[a, b]| self.normal(angles + Vector2::new(a, b)));
-        for (index, vehicle) in (LENGTH + 1..).zip(self.vehicles) {
+        for (index, vehicle) in (LENGTH + 1..).zip(&self.vehicles) {
             let of_vehicle = [(index, SIZE_STD.recip()), (LENGTH, -SIZE_STD.recip())];
             local.add((at[index] - at[LENGTH]) / SIZE_STD, &of_vehicle, 1.0, loss);
             let [here, pitched, tilted] = normals.map(|normal| vehicle.log_lengths(&normal));
@@ -345,6 +378,11 @@ impl HoveringGround {
         self.sources.iter().any(|source| source.kind == TiltKind::Map)
     }
 
+    /// Standard deviation of its tilt, radians, with that of the focal length.
+    pub fn total_tilt_std(&self) -> f64 {
+        self.tilt_std.hypot(self.normal_by_focal.norm())
+    }
+
     /// Height of a camera over it.
     fn height_of(&self, image: &Image) -> f64 {
         self.normal_in_world.dot(&(image.cam_from_world.center() - self.point_in_world))
@@ -361,7 +399,7 @@ impl HoveringGround {
             spread: 0.0,
             up_in_world: self.normal_in_world,
             // Half of a spread counts as the standard deviation of the vertical.
-            tilt_spread: 2.0 * self.tilt_std,
+            tilt_spread: 2.0 * self.total_tilt_std(),
             num_frames,
             foot_in_world: self.point_in_world,
         }
@@ -448,8 +486,7 @@ mod tests {
                 };
                 let noise = (0.02 * rng.sample::<f64, _>(StandardNormal)).exp();
                 let forward = right * heading.cos() + ahead * heading.sin();
-                let sight =
-                    Sight { camera: &camera, cam_from_world: UnitQuaternion::identity(), ray: up, log_extent: 0.0 };
+                let sight = Sight { camera, cam_from_world: UnitQuaternion::identity(), ray: up, log_extent: 0.0 };
                 let box_px = sight.box_extent_px(&(point.coords / HEIGHT), &forward, &up).unwrap();
                 let extent_px = noise * size / HEIGHT * box_px;
                 images.insert(FrameId(frame), ObjectImage { middle: pixel, extent_px });
@@ -466,7 +503,7 @@ mod tests {
         for seed in 0..12 {
             for (pitch, roll) in [(0.4, 0.0), (0.8, 0.02), (1.3, -0.02)] {
                 let (background, vehicles, up) = scene(pitch, roll, seed);
-                let ground = hovering_ground(&background, &vehicles, Vec::new());
+                let ground = hovering_ground(&background, &vehicles, Vec::new(), 0.0);
                 found.extend(ground.map(|ground| (pitch, ground.normal_in_world.angle(&up), ground.tilt_std)));
                 all += 1;
             }
@@ -488,6 +525,7 @@ mod tests {
                     kind: TiltKind::Vertical,
                     ..StatedTilt::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))
                 }],
+                0.0,
             )
             .unwrap();
             assert!(found.normal_in_world.angle(&up) < 1e-4 && (found.tilt_std - 0.0283).abs() < 1e-3, "{found:?}");
@@ -499,11 +537,42 @@ mod tests {
         let (background, vehicles, up) = scene(0.6, 0.0, 1);
         let of_map = up_in_cam(Vector2::new(0.63, 0.01));
         let tilt = |kind| StatedTilt { kind, ..StatedTilt::of_up("map", &of_map, &(Matrix3::identity() * 4e-4)) };
-        let found = |kind| hovering_ground(&background, &vehicles, vec![tilt(kind)]).unwrap();
+        let found = |kind| hovering_ground(&background, &vehicles, vec![tilt(kind)], 0.0).unwrap();
         let (map, ground) = (found(TiltKind::Map), found(TiltKind::Ground));
         assert!(map.normal_in_world.angle(&of_map) < 1e-9 && map.normal_in_world.angle(&up) > 0.02);
         assert!(ground.normal_in_world.angle(&of_map) > 1e-3, "fused with vehicles");
         assert!(map.tilt_std > ground.tilt_std && map.num_vehicles == ground.num_vehicles);
+    }
+
+    #[test]
+    fn another_focal_length_turns_the_ground_as_stated() {
+        let (mut background, vehicles, _) = scene(0.8, 0.0, 3);
+        let focal_std = 0.1;
+        let found =
+            |background: &Reconstruction| hovering_ground(background, &vehicles, Vec::new(), focal_std).unwrap();
+        let as_it_is = found(&background);
+        let camera = background.cameras[&CameraId(1)];
+        background.cameras.insert(CameraId(1), camera.zoomed(focal_std.exp()));
+        let turned = found(&background).normal_in_world - as_it_is.normal_in_world;
+        assert!(turned.norm() > 0.01, "{turned}");
+        assert!((turned - as_it_is.normal_by_focal).norm() < 0.3 * turned.norm(), "{turned} {as_it_is:?}");
+        assert!(as_it_is.total_tilt_std() > as_it_is.tilt_std);
+    }
+
+    #[test]
+    fn sources_that_disagree_know_less() {
+        let (background, ..) = scene(0.6, 0.0, 1);
+        let tilt = |pitch: f64| StatedTilt {
+            source: "pitch".to_owned(),
+            angles: [pitch, 0.0],
+            std: [Some(0.02), Some(0.02)],
+            kind: TiltKind::Vertical,
+        };
+        let found = |other: f64| hovering_ground(&background, &[], vec![tilt(0.6), tilt(other)], 0.0).unwrap();
+        let (agreed, apart) = (found(0.61), found(0.72));
+        assert!((agreed.tilt_std - 0.02).abs() < 1e-3, "{agreed:?}");
+        assert!((apart.pitch - 0.66).abs() < 1e-3 && apart.tilt_std > 0.05, "{apart:?}");
+        assert_eq!(apart.contradictions.len(), 2);
     }
 
     #[test]
@@ -517,12 +586,12 @@ mod tests {
                 kind: TiltKind::Ground,
             }]
         };
-        let stated = hovering_ground(&background, &[], pitch(0.6)).unwrap();
+        let stated = hovering_ground(&background, &[], pitch(0.6), 0.0).unwrap();
         assert!(stated.normal_in_world.angle(&up) < 1e-3 && stated.tilt_std < 0.04, "{stated:?}");
-        assert_eq!(hovering_ground(&background, &[], Vec::new()), None);
-        let both = hovering_ground(&background, &vehicles, pitch(0.6)).unwrap();
+        assert_eq!(hovering_ground(&background, &[], Vec::new(), 0.0), None);
+        let both = hovering_ground(&background, &vehicles, pitch(0.6), 0.0).unwrap();
         assert!(both.tilt_std <= stated.tilt_std && both.num_vehicles > 3 && both.contradictions.is_empty());
-        let wrong = hovering_ground(&background, &vehicles, pitch(1.2)).unwrap();
+        let wrong = hovering_ground(&background, &vehicles, pitch(1.2), 0.0).unwrap();
         assert!(wrong.contradictions[0].deviations > 3.0 && wrong.contradictions[0].angle > 0.3, "{wrong:?}");
         let planes = both.planes(&background, &background);
         assert!(planes.planes.is_empty() && planes.skipped.len() == 100);

@@ -373,8 +373,8 @@ fn ground_track_problem(track: &GroundTrack) -> Option<String> {
         return Some("a number is not finite".into());
     }
     let numbers = |position: &GroundPosition| {
-        let ContactError { noise, drift, common } = position.error;
-        [noise.concat(), drift.to_vec(), common.to_vec(), position.position.to_vec()].concat()
+        let ContactError { noise, drift, common, focal } = position.error;
+        [noise.concat(), [drift, common, focal, position.position].concat()].concat()
     };
     if let Some(position) = track.positions.iter().find(|position| numbers(position).iter().any(|n| !is_sensible(n))) {
         return Some(format!("frame {}: a number is out of range", position.frame.0));

@@ -25,7 +25,7 @@ use crate::scene::{
 use crate::tracking::TrackedMask;
 use crate::tracking::merging::{Pair, same};
 use crate::trajectory::{
-    CommonStd, ContactEvidence, Contacts, Outlines, PositionError, PositionMeasurement, contacts, smooth,
+    CommonStd, ContactEvidence, Contacts, FocalError, Outlines, PositionError, PositionMeasurement, contacts, smooth,
 };
 
 /// Time of the positions before a provisional one that its velocity rests on, seconds.
@@ -311,7 +311,7 @@ impl Vehicles {
             planes: &planes,
             outlines: &self.outlines,
             frames: &frames,
-            focal_std: map.focal_std,
+            focal: FocalError { std: map.focal_std.unwrap_or(0.0), turns: None },
         };
         contacts(id, &evidence)
     }

@@ -5,7 +5,7 @@ use super::metres;
 use super::travel::{KM_H, estimate};
 use super::view::quantile;
 use super::words::figure;
-use crate::scene::{Dimensions, Estimate, MetricPose, Motion, ObjectPose, ObjectTrajectory, TimeBase};
+use crate::scene::{Dimensions, Estimate, FrameId, MetricPose, Motion, ObjectPose, ObjectTrajectory, TimeBase};
 
 /// The poses of an object that have metres, where the result has any.
 fn poses<'a>(data: &Data, object: &Object<'a>) -> Vec<(&'a ObjectPose, &'a MetricPose)> {
@@ -89,15 +89,33 @@ pub(super) enum Quantity {
 }
 
 /// Value, its deviation, and what it was made from.
-pub(super) struct Reading<'a> {
-    pub pose: &'a ObjectPose,
+pub(super) struct Reading {
+    pub frame: FrameId,
     pub value: f64,
     pub std: f64,
     pub raw: Option<f64>,
 }
 
-/// A quantity at every pose that has it.
-pub(super) fn readings<'a>(data: &Data, object: &Object<'a>, quantity: Quantity) -> Vec<Reading<'a>> {
+/// A quantity at every pose that has it; of a ground track that is the answer at its positions, without headings.
+pub(super) fn readings(data: &Data, object: &Object, quantity: Quantity) -> Vec<Reading> {
+    let value = |motion: &Motion, heading: Option<f64>| {
+        Some(match quantity {
+            Quantity::Speed => {
+                (KM_H * motion.speed_m_s, KM_H * motion.speed_std_m_s, Some(KM_H * motion.raw_speed_m_s))
+            }
+            Quantity::Acceleration => (motion.acceleration_m_s2, motion.acceleration_std_m_s2, None),
+            Quantity::Heading => (heading?, motion.heading_std_deg?, None),
+        })
+    };
+    let reading = |frame: FrameId, metric: &MetricPose, heading: Option<f64>| {
+        let (value, std, raw) = value(motion(data, metric)?, heading)?;
+        Some(Reading { frame, value, std, raw })
+    };
+    if let Some(track) = object.answering_track() {
+        let is_metric = data.metric.and_then(metres::frame).is_some();
+        let positions = track.positions.iter().filter(|_| is_metric);
+        return positions.filter_map(|at| reading(at.frame, at.metric.as_ref()?, None)).collect();
+    }
     let headings = match (quantity, object.trajectory) {
         (Quantity::Heading, Some(trajectory)) => trajectory.unwrapped_headings_deg(),
         _ => Vec::new(),
@@ -107,18 +125,8 @@ pub(super) fn readings<'a>(data: &Data, object: &Object<'a>, quantity: Quantity)
         let k = poses_of.binary_search_by_key(&pose.frame, |other| other.frame).ok()?;
         *headings.get(k)?
     };
-    let reading = |(pose, metric): (&'a ObjectPose, &MetricPose)| {
-        let motion = motion(data, metric)?;
-        let (value, std, raw) = match quantity {
-            Quantity::Speed => {
-                (KM_H * motion.speed_m_s, KM_H * motion.speed_std_m_s, Some(KM_H * motion.raw_speed_m_s))
-            }
-            Quantity::Acceleration => (motion.acceleration_m_s2, motion.acceleration_std_m_s2, None),
-            Quantity::Heading => (heading(pose)?, motion.heading_std_deg?, None),
-        };
-        Some(Reading { pose, value, std, raw })
-    };
-    poses(data, object).into_iter().filter_map(reading).collect()
+    let placed = poses(data, object).into_iter();
+    placed.filter_map(|(pose, metric)| reading(pose.frame, metric, heading(pose))).collect()
 }
 
 #[cfg(test)]

@@ -26,15 +26,18 @@ impl GroundTrackMethod {
     }
 }
 
-/// Error of a contact point in three independent parts, by how it changes over the frames.
+/// Error of a contact point in four independent parts, by how it changes over the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactError {
     /// Covariance of the part that is new in every frame: pixels of the mask edge.
     pub noise: [[f64; 3]; 3],
     /// Displacement by one standard deviation of the part that changes slowly: local plane, mask, view of the vehicle.
     pub drift: [f64; 3],
-    /// Displacement by one standard deviation of the part that all frames share: plane, mask bias, focal length.
+    /// Displacement by one standard deviation of the part that all frames share: plane, mask bias.
     pub common: [f64; 3],
+    /// The same of the focal length, and of the plane that would go with another one.
+    #[serde(default)]
+    pub focal: [f64; 3],
 }
 
 impl ContactError {
@@ -46,7 +49,7 @@ impl ContactError {
     /// Covariance of all parts.
     pub fn covariance(&self) -> Matrix3<f64> {
         let outer = |v: [f64; 3]| Vector3::from(v) * Vector3::from(v).transpose();
-        self.noise() + outer(self.drift) + outer(self.common)
+        self.noise() + outer(self.drift) + outer(self.common) + outer(self.focal)
     }
 
     /// The same error with standard deviations so many times as large.
@@ -55,6 +58,7 @@ impl ContactError {
             noise: self.noise.map(|row| row.map(|covariance| covariance * factor * factor)),
             drift: self.drift.map(|std| std * factor),
             common: self.common.map(|std| std * factor),
+            focal: self.focal.map(|std| std * factor),
         }
     }
 
@@ -68,6 +72,7 @@ impl ContactError {
             noise: [0, 1, 2].map(|row| [0, 1, 2].map(|column| noise[(row, column)])),
             drift: turned(self.drift),
             common: turned(self.common),
+            focal: turned(self.focal),
         }
     }
 }

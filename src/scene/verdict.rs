@@ -61,6 +61,8 @@ pub enum ReasonKind {
     Speed,
     /// Drivability of its trajectory.
     Path,
+    /// Its footprint on the ground, below a camera that does not translate.
+    GroundTrack,
 }
 
 /// Outcome of one check.

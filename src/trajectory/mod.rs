@@ -64,7 +64,7 @@ pub use estimate::{Options, estimate_scale, ratios_of};
 pub use estimators::{Estimate, Estimator, EstimatorInput, estimator};
 pub use extents::{Extents, Subject, extents};
 pub use ground_constrained_poses::ground_constrained_poses;
-pub use ground_track::{ContactEvidence, Contacts, Outlines, contacts, ground_track, outline_pixels};
+pub use ground_track::{ContactEvidence, Contacts, FocalError, Outlines, contacts, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};
 use intersection::IntersectionMethod;
 pub use intersection::{Intersection, intersection};

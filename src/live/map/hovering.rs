@@ -121,7 +121,7 @@ impl Mapper {
         let tilts = stated_tilts(&poses, &metric, by_lines.as_ref(), vertical, on_map.as_ref());
         // Where vehicles that stand point to is unknown.
         let vehicles: Vec<_> = snapshot.vehicles.iter().filter(|seen| on_plane::moves(seen, &poses)).cloned().collect();
-        let ground = hovering_ground(&poses, &vehicles, tilts).ok_or(NoMap::Inclination)?;
+        let ground = hovering_ground(&poses, &vehicles, tilts, focal_std).ok_or(NoMap::Inclination)?;
         let model = on_plane::model(table, &camera, &rotations.poses, &ground, None);
         let (found, needed) = (model.points.len(), MIN_POINTS);
         if found < needed {

@@ -79,6 +79,7 @@ pub(super) fn ground_of_map(dominant: &DominantPlane, model: &Reconstruction) ->
         pitch: (-dominant.normal.dot(&axis)).asin(),
         sources: Vec::new(),
         contradictions: Vec::new(),
+        normal_by_focal: Vector3::zeros(),
     })
 }
 

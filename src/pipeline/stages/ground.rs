@@ -89,7 +89,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
             "hovering",
             json!({
                 "pitch_deg": ground.pitch.to_degrees(),
-                "tilt_std_deg": ground.tilt_std.to_degrees(),
+                "tilt_std_deg": ground.total_tilt_std().to_degrees(),
                 "num_vehicles": ground.num_vehicles,
                 "sources": ground.sources.iter().map(of_source).collect::<Vec<_>>(),
             }),
@@ -171,7 +171,7 @@ fn find(
         match &hovering {
             None => {
                 let text = "no ground found: the camera does not translate, and neither straight lines nor the sizes \
-                            of vehicles show the ground; give --camera-pitch or --map-points";
+                            of vehicles show the ground; give --intrinsics, --camera-pitch or --map-points";
                 outcome.warn(Topic::NoGroundFound.warning(text));
             }
             Some(ground) => ground.contradictions.iter().for_each(|found| outcome.warn(contradiction(found))),

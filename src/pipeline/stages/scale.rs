@@ -15,6 +15,7 @@ use super::metric::Size;
 use super::track;
 use super::track::movement::PointFindings;
 use super::{ground, objects};
+use crate::ground::HoveringGround;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{
@@ -25,6 +26,7 @@ use crate::trajectory::{
     self, Adjustment, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription, Outlines,
     PlacedObject, Silhouette, Subject, extents,
 };
+use ground_tracks::Followed;
 use movement::TrajectoryEvidence;
 
 /// The name of the trajectories as this stage leaves them, in units of the background.
@@ -71,10 +73,16 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     }
     outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
-    let objects = with_verdicts(found.placed, verdicts, &mut outcome);
-    let placed =
-        ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures: &found.failures };
-    let ground_tracks = ground_tracks::find(&scene, &placed, &mut outcome)?;
+    let mut objects = with_verdicts(found.placed, verdicts, &mut outcome);
+    ground_tracks::judge(&scene, &mut objects, &found.followed, &mut outcome);
+    let placed = ground_tracks::Placed {
+        tracked: &tracked,
+        objects: &objects,
+        reports: &reports,
+        failures: &found.failures,
+        followed: found.followed,
+    };
+    let ground_tracks = ground_tracks::find(&scene, placed, &mut outcome)?;
     let mut all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
@@ -105,6 +113,7 @@ struct Scene<'a, 'r> {
     run: &'a Run<'r>,
     background: &'a Reconstruction,
     ground: Ground,
+    sources: ground::GroundResults,
     frames: &'a [Frame],
     /// Standard deviation of the focal length as a share of it; `None` where positions do not depend on it.
     focal_std: Option<f64>,
@@ -120,6 +129,8 @@ struct ScaleContext {
     failures: BTreeMap<String, String>,
     sizes: BTreeMap<ObjectId, Size>,
     pose_covariances: PoseCovariances,
+    /// Below a camera that does not translate.
+    followed: Followed,
 }
 
 /// Covariances of positions in single frames, in the frame and unit of the background, without those of the ratios.
@@ -135,12 +146,13 @@ impl<'a, 'r> Scene<'a, 'r> {
         let frames = run.frames()?;
         let has_model = |id| reports.get(&id).is_some_and(|report| report.failure.is_none());
         let wanted = tracked.iter().filter(|object| object.left_out.is_none() || has_model(object.id));
-        let hovering = ground::sources(run)?.hovering;
-        let is_mapped = hovering.is_some_and(|ground| ground.is_mapped());
+        let sources = ground::sources(run)?;
+        let is_mapped = sources.hovering.as_ref().is_some_and(HoveringGround::is_mapped);
         Ok(Self {
             run,
             background,
             ground: ground::ground(run)?,
+            sources,
             frames,
             focal_std: background::focal_deviation(run)?.filter(|_| !is_mapped),
             outlines: outlines(run, frames, wanted.cloned().collect())?,
@@ -230,6 +242,8 @@ impl<'a, 'r> Scene<'a, 'r> {
         let unseen = BTreeMap::new();
         let is_joint = run.options.scale.method == ScaleMethod::Joint;
         let silhouettes = self.outlines.get(&tracked.id).filter(|_| is_joint).unwrap_or(&unseen);
+        let followed = self.sources.hovering.is_some().then(|| ground_tracks::follow(self, tracked));
+        found.followed.extend(followed.map(|track| (tracked.id, track)));
         let evidence = Evidence {
             description: description(tracked),
             origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },

@@ -30,6 +30,8 @@ pub(super) struct Card {
     portrait: Option<String>,
     verdict: verdict::Verdict,
     badge: &'static str,
+    /// True if the ground track is the answer.
+    is_on_ground: bool,
     /// Place in the order of trust, the best first; a ground track comes before a rejected trajectory.
     trust: usize,
     /// Place in the table: by trust, then by the number of positions, the most first.
@@ -75,16 +77,15 @@ pub(super) fn cards(data: &Data, timeline: &Timeline, names: &[String], view: Op
 
 fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Option<&View>) -> Card {
     let verdict = verdict::Verdict::of(object.trajectory);
+    let is_on_ground = object.answering_track().is_some();
     Card {
         id: object.id.0,
         name: name.to_owned(),
         colour: css_colour(object_colour(object.id)),
         portrait: data.pictures.portraits.get(&object.id).map(|jpeg| STANDARD.encode(jpeg)),
         verdict,
-        badge: match (object.trajectory, object.ground_track) {
-            (None, Some(_)) => GROUND_TRACK,
-            _ => verdict.label(),
-        },
+        badge: if is_on_ground { GROUND_TRACK } else { verdict.label() },
+        is_on_ground,
         trust: trust(verdict, object),
         order: order(verdict, object),
         size: object.trajectory.and_then(motion::size_in_brief),
@@ -121,7 +122,7 @@ fn order(verdict: verdict::Verdict, object: &Object) -> i64 {
     LARGE * trust(verdict, object) as i64 - positions as i64
 }
 
-/// Badge of a vehicle that has only a ground track.
+/// Badge of a vehicle whose ground track is the answer.
 const GROUND_TRACK: &str = "ground track";
 
 /// Frames, path length, displacement and speeds of a ground track.

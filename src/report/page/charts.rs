@@ -10,7 +10,7 @@ use crate::report::metres::Ruler;
 use crate::report::motion::{self, Quantity};
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::timeline::Timeline;
-use crate::scene::{Frame, FrameId, GroundPlane, Image, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
+use crate::scene::{Frame, FrameId, GroundPlane, GroundTrack, Image, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
 /// Objects with a line of their own in the charts and a row of frame bars.
 const MAX_CHARTED: usize = 16;
@@ -63,6 +63,16 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
     let [speeds, accelerations, headings] = charts.motion();
     let all = [speeds, accelerations, headings, charts.camera_height(), charts.object_heights(), charts.ratios()];
     all.iter().chain(&[charts.reprojection()]).filter_map(|chart| chart.draw(timeline)).collect()
+}
+
+/// Returns true if a ground track has left its place: charts of vehicles that stand show noise.
+fn has_moved(track: &GroundTrack) -> bool {
+    /// Standard deviations by which it must.
+    const CLEARLY: f64 = 3.0;
+    track
+        .travel
+        .as_ref()
+        .is_some_and(|travel| travel.displacement_units.value > CLEARLY * travel.displacement_units.std)
 }
 
 /// Input of all charts.
@@ -177,9 +187,13 @@ impl Charts<'_> {
         [if is_known { speeds } else { self.raw_speeds() }, accelerations, headings]
     }
 
-    /// Vehicles whose motion may be read off; all, where every one is rejected.
+    /// Vehicles whose motion may be read off, by their trajectories or ground tracks that move; all that have a
+    /// trajectory, where there is none.
     fn measured(&self) -> impl Iterator<Item = &(&Object<'_>, &String)> {
-        let is_sure = |object: &Object| object.trajectory.is_some_and(|found| !found.is_ruled_out());
+        let is_sure = |object: &Object| match object.answering_track() {
+            Some(track) => has_moved(track),
+            None => object.trajectory.is_some_and(|found| !found.is_ruled_out()),
+        };
         let none = !self.objects.iter().any(|(object, _)| is_sure(object));
         self.objects.iter().filter(move |(object, _)| none && object.trajectory.is_some() || is_sure(object))
     }
@@ -189,7 +203,7 @@ impl Charts<'_> {
         let with_raw = self.measured().count() <= MAX_RAW;
         let line = |(object, name): &(&Object, &String)| {
             let readings = motion::readings(self.data, object, quantity);
-            let at = |r: &motion::Reading| self.timeline.of(r.pose.frame);
+            let at = |r: &motion::Reading| self.timeline.of(r.frame);
             let band = readings.iter().filter_map(|r| Some((at(r)?, r.value - r.std, r.value + r.std)));
             Line {
                 points: readings.iter().filter_map(|r| Some((at(r)?, r.value))).collect(),

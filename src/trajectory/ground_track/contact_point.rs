@@ -3,7 +3,7 @@
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 
-use super::footprint;
+use super::{FocalError, footprint};
 use crate::camera::Camera;
 use crate::math::Rigid3;
 use crate::scene::{ContactError, GroundPlane, NoContact};
@@ -60,8 +60,6 @@ struct Ray<'a> {
 impl ContactPoint {
     /// Finds the contact point.
     ///
-    /// * `focal_std` – standard deviation of the focal length as a share of it.
-    ///
     /// # Errors
     /// Why the frame has none.
     pub(super) fn find(
@@ -69,7 +67,7 @@ impl ContactPoint {
         plane: &GroundPlane,
         outline: &Silhouette,
         occluders: &Occluders,
-        focal_std: f64,
+        focal: &FocalError,
     ) -> Result<Self, NoContact> {
         let height = plane.signed_distance(cam_from_world.center());
         let ray = Ray { camera, cam_from_world, plane, height };
@@ -79,7 +77,7 @@ impl ContactPoint {
             return Err(NoContact::Occluded);
         }
         let position = ray.meets(edge.pixel).ok_or(NoContact::NearHorizon)?;
-        let found = ray.with_error(position, &edge, focal_std).ok_or(NoContact::NearHorizon)?;
+        let found = ray.with_error(position, &edge, focal).ok_or(NoContact::NearHorizon)?;
         let sight = position - cam_from_world.center();
         let along = sight.normalize();
         let variance = (along.transpose() * found.error.covariance() * along)[0];
@@ -95,6 +93,17 @@ impl Ray<'_> {
         let sinking = -self.plane.normal.dot(&ray);
         let point = self.cam_from_world.center() + ray * (self.height / sinking);
         (sinking > 0.0 && point.iter().all(|x| x.is_finite())).then_some(point)
+    }
+
+    /// The point that a pixel shows under another focal length, on the plane that goes with it, as far below the
+    /// camera.
+    ///
+    /// * `turn` – change of the plane's normal.
+    fn with_focal(&self, pixel: Point2<f64>, log_focal: f64, turn: Vector3<f64>) -> Option<Point3<f64>> {
+        let normal = (self.plane.normal + turn).normalize();
+        let plane = GroundPlane { normal, ..*self.plane };
+        let camera = self.camera.zoomed(log_focal.exp());
+        Ray { camera: &camera, plane: &plane, ..*self }.meets(pixel)
     }
 
     /// The lower edge of an outline; `None` where the pixels have no direction towards the ground.
@@ -128,7 +137,7 @@ impl Ray<'_> {
     /// The middle of the footprint with its error; `None` where a pixel further up meets no ground.
     ///
     /// * `position` – the contact with the ground on the camera's side.
-    fn with_error(&self, position: Point3<f64>, edge: &LowerEdge, focal_std: f64) -> Option<ContactPoint> {
+    fn with_error(&self, position: Point3<f64>, edge: &LowerEdge, focal: &FocalError) -> Option<ContactPoint> {
         let LowerEdge { pixel, down, size: [width_px, height_px] } = *edge;
         let along = Vector2::new(-down.y, down.x);
         // Per pixel: towards the horizon, where the error is greater, and along the edge.
@@ -150,20 +159,28 @@ impl Ray<'_> {
         let level = away.try_normalize(0.0)?;
         let (depth, depth_std) = footprint::depth(apparent_size, sinking)?;
         // A plane that is higher moves the point towards the camera along the ray; all else moves it along the ground.
-        let shift = |plane_std: f64, parts: [f64; 2]| {
+        let shift = |plane_std: f64, of_mask: f64, of_depth: f64| {
             let per_height = (1.0 - sinking * sinking).max(0.0).sqrt() / sinking;
-            let along_ground = [per_height * plane_std, parts[0], parts[1]].iter().map(|part| part * part).sum::<f64>();
-            level * along_ground.sqrt() - self.plane.normal * plane_std
+            level * of_mask.hypot(of_depth).hypot(per_height * plane_std) - self.plane.normal * plane_std
         };
         // Masks that are propagated from frame to frame keep their error for a while, and so does a view.
-        let drift = shift(self.plane.own_height_std(), [away.norm() * edge_px, 0.5 * depth_std]);
-        let common = shift(self.plane.common_height_std, [away.norm() * bias_px, focal_std * distance]);
+        let drift = shift(self.plane.own_height_std(), away.norm() * edge_px, 0.5 * depth_std);
+        let common = shift(self.plane.common_height_std, away.norm() * bias_px, 0.0);
+        let by_focal = match focal.turns {
+            None => level * (focal.std * distance),
+            Some(turns) => {
+                let [shorter, longer] = [-1.0, 1.0].map(|sign| self.with_focal(pixel, sign * focal.std, turns * sign));
+                // The footprint is the less deep, too.
+                0.5 * (longer? - shorter?) - level * (0.5 * depth * focal.std)
+            }
+        };
         let error = ContactError {
             noise: [0, 1, 2].map(|row| [0, 1, 2].map(|column| noise[(row, column)])),
             drift: drift.into(),
             common: common.into(),
+            focal: by_focal.into(),
         };
-        let numbers: [Vector3<f64>; 2] = [drift, common];
+        let numbers: [Vector3<f64>; 3] = [drift, common, by_focal];
         let is_finite = noise.iter().chain(numbers.iter().flat_map(|v| v.iter())).all(|x| x.is_finite());
         let position = position + level * (0.5 * depth);
         is_finite.then_some(ContactPoint { position, error, apparent_size })

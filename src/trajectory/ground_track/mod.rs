@@ -20,7 +20,7 @@ mod tests;
 
 use std::collections::BTreeMap;
 
-use nalgebra::Point2;
+use nalgebra::{Point2, Vector3};
 
 use self::contact_point::{ContactPoint, Occluders};
 use super::{ObjectDescription, Silhouette};
@@ -47,8 +47,18 @@ pub struct ContactEvidence<'a> {
     pub outlines: &'a Outlines,
     /// Frames in which the vehicle has a mask, in order.
     pub frames: &'a [&'a Frame],
-    /// Standard deviation of the focal length as a share of it; `None` where it is given.
-    pub focal_std: Option<f64>,
+    /// Error of the focal length.
+    pub focal: FocalError,
+}
+
+/// Error of a focal length, and what it does to the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct FocalError {
+    /// Standard deviation as a share of the focal length; 0 where it is given.
+    pub std: f64,
+    /// Change of the ground's normal by one standard deviation, below a camera that does not translate: its height
+    /// stays. `None` where a map has the ground: distances in it are wrong by the share of the focal length.
+    pub turns: Option<Vector3<f64>>,
 }
 
 /// Pixels around which the plane of each frame is wanted: the corners of an object's outlines.
@@ -143,7 +153,6 @@ impl ContactEvidence<'_> {
         let others = self.outlines.iter().filter(|(other, _)| **other != id);
         let occluders: Occluders = others.filter_map(|(_, outlines)| outlines.get(&frame.id)).collect();
         let camera = self.background.camera_of(image);
-        let focal_std = self.focal_std.unwrap_or(0.0);
-        Ok((plane, ContactPoint::find((camera, &image.cam_from_world), plane, own, &occluders, focal_std)?))
+        Ok((plane, ContactPoint::find((camera, &image.cam_from_world), plane, own, &occluders, &self.focal)?))
     }
 }

@@ -30,8 +30,13 @@ fn outlines(world: &Drive, mut shift: impl FnMut() -> Vector2<f64>) -> BTreeMap<
 
 fn track(world: &Drive, planes: &BTreeMap<FrameId, GroundPlane>, outlines: &Outlines) -> Result<GroundTrack, String> {
     let frames: Vec<&Frame> = world.frames.iter().collect();
-    let evidence =
-        ContactEvidence { background: &world.background, planes, outlines, frames: &frames, focal_std: None };
+    let evidence = ContactEvidence {
+        background: &world.background,
+        planes,
+        outlines,
+        frames: &frames,
+        focal: FocalError::default(),
+    };
     ground_track(description(), &evidence, "too small".into())
 }
 
@@ -114,6 +119,27 @@ fn errors_of_far_vehicles_are_as_large_as_is_said() {
     }
     let share = counts.map(|count| count as f64 / all as f64);
     assert!(share[0] > 0.6 && share[0] < 0.97 && share[1] > 0.92 && share[2] > 0.97, "{share:?}");
+}
+
+#[test]
+fn another_focal_length_moves_a_vehicle_as_stated() {
+    let mut world = far(2, Route::Straight);
+    let outlines: Outlines = [(ID, outlines(&world, Vector2::zeros))].into();
+    let frames: Vec<Frame> = world.frames.clone();
+    let frames: Vec<&Frame> = frames.iter().collect();
+    let std = 0.1;
+    let found = |world: &Drive| {
+        let (background, planes) = (&world.background, &world.planes);
+        let focal = FocalError { std, turns: Some(Vector3::zeros()) };
+        contacts(ID, &ContactEvidence { background, planes, outlines: &outlines, frames: &frames, focal }).positions
+    };
+    let before = found(&world);
+    world.background.cameras.values_mut().for_each(|camera| *camera = camera.zoomed(f64::exp(std)));
+    for (before, after) in before.iter().zip(found(&world)) {
+        let [moved, stated] =
+            [Vector3::from(after.position) - Vector3::from(before.position), Vector3::from(before.error.focal)];
+        assert!((moved - stated).norm() < 0.2 * moved.norm().max(0.05 * stated.norm()), "{moved} {stated}");
+    }
 }
 
 /// The true middle of a vehicle's footprint.
@@ -222,6 +248,7 @@ fn a_change_of_frame_keeps_an_error() {
         noise: [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0]],
         drift: [0.3, -0.1, 0.2],
         common: [0.0, 0.5, 0.0],
+        focal: [0.1, 0.0, -0.4],
     };
     let target_from_source = far(1, Route::Straight).background_from_metric;
     let turned = error.transformed(&target_from_source);

@@ -127,7 +127,11 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
     let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?;
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
-    let moved = in_motion.response(&sightings.iter().map(|s| s.common_error(common.ratio)).collect::<Vec<_>>())?;
+    let response = |errors: Vec<DVector<f64>>| in_motion.response(&errors);
+    let moved = [
+        response(sightings.iter().map(|s| s.common_error(common.ratio)).collect())?,
+        response(sightings.iter().map(PositionMeasurement::focal_error).collect())?,
+    ];
     // Contact points are too coarse to tell rest from motion: a speed that is rest by default would have the wrong
     // standard deviation.
     let is_coarse = sightings.iter().any(|s| matches!(s.error, PositionError::Contact(_)));
@@ -171,6 +175,14 @@ impl PositionMeasurement {
         match self.error {
             PositionError::Model { .. } => dynamic(&(ratio * (self.position_m - self.camera_m))),
             PositionError::Contact(error) => dynamic(&Vector3::from(error.common)),
+        }
+    }
+
+    /// The same of the focal length; that of a model is part of its ratio.
+    fn focal_error(&self) -> DVector<f64> {
+        match self.error {
+            PositionError::Model { .. } => DVector::zeros(3),
+            PositionError::Contact(error) => dynamic(&Vector3::from(error.focal)),
         }
     }
 
@@ -270,8 +282,8 @@ struct Tracks<'a> {
     sightings: &'a [PositionMeasurement],
     origin: Vector3<f64>,
     positions: Track,
-    /// Effect of the scale ratio's error on the states of `positions`.
-    moved: Vec<DVector<f64>>,
+    /// Effects of the errors that all frames share on the states of `positions`.
+    moved: [Vec<DVector<f64>>; 2],
     headings: Option<Track>,
     forward_std: f64,
     scale_std: f64,
@@ -318,8 +330,8 @@ impl Tracks<'_> {
     fn std(&self, k: usize, first: usize, direction: &Vector3<f64>, stretched: &Vector3<f64>) -> f64 {
         let covariance = self.positions.states[k].covariance.fixed_view::<3, 3>(first, first);
         let own = (direction.transpose() * covariance * direction)[0].max(0.0);
-        let ratio = self.moved[k].fixed_rows::<3>(first).dot(direction);
-        (own + ratio * ratio + (self.scale_std * stretched.dot(direction)).powi(2)).sqrt()
+        let shared = self.moved.iter().map(|moved| moved[k].fixed_rows::<3>(first).dot(direction).powi(2));
+        (own + shared.sum::<f64>() + (self.scale_std * stretched.dot(direction)).powi(2)).sqrt()
     }
 
     /// Unit direction along which speeds count: that of the model, turned as the smoothed heading; else that of the

@@ -96,6 +96,27 @@ fn what_all_frames_have_in_common_is_not_smoothed_away() {
 }
 
 #[test]
+fn a_focal_length_stretches_paths_and_speeds() {
+    let share = 0.1;
+    let off = |sighting: PositionMeasurement| {
+        let level = sighting.position_m - sighting.camera_m;
+        let error = ContactError {
+            noise: [[1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]],
+            focal: (share * Vector3::new(level.x, level.y, 0.0)).into(),
+            ..ContactError::default()
+        };
+        PositionMeasurement { forward: None, error: PositionError::Contact(error), ..sighting }
+    };
+    let drive: Vec<PositionMeasurement> = circle(60, 2).into_iter().map(off).collect();
+    let camera_m = drive[0].camera_m;
+    let drive: Vec<PositionMeasurement> = drive.into_iter().map(|s| PositionMeasurement { camera_m, ..s }).collect();
+    let found = super::smooth(&drive, &KNOWN, Movement::Moving).unwrap();
+    let motion = found.motions[30];
+    assert!(motion.speed_std_m_s > 0.9 * share * motion.speed_m_s, "{motion:?}");
+    assert!(found.path_m.std > 0.9 * share * found.path_m.value, "{:?}", found.path_m);
+}
+
+#[test]
 fn a_standing_vehicle_stands() {
     for motion in smooth(&standing(60), &KNOWN).unwrap() {
         assert!(motion.speed_m_s.abs() < (2.0 * motion.speed_std_m_s).min(0.05), "{motion:?}");

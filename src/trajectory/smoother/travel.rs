@@ -21,8 +21,8 @@ use crate::scene::Estimate;
 /// A smoothed trajectory of positions, metres, and how common errors move it.
 pub(super) struct Route<'a> {
     pub(super) track: &'a Track,
-    /// Change of every state per standard deviation of the scale ratio.
-    pub(super) moved: &'a [DVector<f64>],
+    /// Changes of every state per standard deviation of each error that all frames share.
+    pub(super) moved: &'a [Vec<DVector<f64>>],
     /// Standard deviation of the logarithm of metres per unit.
     pub(super) scale_std: f64,
 }
@@ -74,8 +74,9 @@ impl Route<'_> {
         self.track.states[k].mean.fixed_rows::<3>(0).into_owned()
     }
 
-    fn moved(&self, k: usize) -> Vector3<f64> {
-        self.moved[k].fixed_rows::<3>(0).into_owned()
+    /// By each of the shared errors.
+    fn moved(&self, k: usize) -> impl Iterator<Item = Vector3<f64>> {
+        self.moved.iter().map(move |moved| moved[k].fixed_rows::<3>(0).into_owned())
     }
 
     fn step(&self, from: usize, to: usize) -> Vector3<f64> {
@@ -98,8 +99,8 @@ impl Route<'_> {
             let cross = position_block(&(&product * &states[k].covariance));
             gain = Some(product);
             let own = position_block(&states[from].covariance) + position_block(&states[k].covariance);
-            let ratio = self.moved(k) - self.moved(from);
-            own - cross - cross.transpose() + ratio * ratio.transpose()
+            let shared = self.moved(k).zip(self.moved(from)).map(|(to, from)| to - from);
+            own - cross - cross.transpose() + shared.map(|by| by * by.transpose()).sum::<Matrix3<f64>>()
         })
     }
 
@@ -129,8 +130,12 @@ impl Route<'_> {
             gradient[pair[1]] += u;
             value += d.norm();
         }
-        let ratio: f64 = gradient.iter().enumerate().map(|(k, g)| g.dot(&self.moved(k))).sum();
-        self.with_scale(Estimate { value, std: self.variance(&gradient).max(0.0).sqrt().hypot(ratio) })
+        let by_shared = |moved: &Vec<DVector<f64>>| {
+            let of = |(g, moved): (&Vector3<f64>, &DVector<f64>)| g.dot(&moved.fixed_rows::<3>(0));
+            gradient.iter().zip(moved).map(of).sum::<f64>().powi(2)
+        };
+        let shared: f64 = self.moved.iter().map(by_shared).sum();
+        self.with_scale(Estimate { value, std: (self.variance(&gradient).max(0.0) + shared).sqrt() })
     }
 
     /// Variance of Σ gₖᵀ xₖ over the positions xₖ: the smoother's backward chain x_k = G_k x_{k+1} + e_k is passed

@@ -41,6 +41,9 @@ pub(super) struct Measures {
     /// Longest extent as a multiple of what it looks like in the picture at its distance: the median over frames. About
     /// 1 from the side, length over width from behind; more where the model is drawn out along the line of sight.
     pub(super) stretch: Option<f64>,
+    /// Sine of the angle at which the camera looks down on the vehicle's ground: the median over frames; 0 where no
+    /// plane is known.
+    pub(super) dip_sine: f64,
     /// Length of the path as it stands, and of the smoothed path.
     pub(super) way: [f64; 2],
     /// Largest distance of a place from the first one.
@@ -85,6 +88,7 @@ impl Measures {
             middles: middles(candidate, &over_ground, height.unwrap_or(0.0)),
             length: length(&points).map(|length| length * candidate.trajectory.scale.ratio),
             stretch: length(&points).and_then(|length| stretch(object, length)),
+            dip_sine: dip_sine(candidate),
             pixels: median(object.images.values().filter_map(longer_side).collect()),
             way: [steps.iter().sum(), smooth.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum()],
             reach: places.iter().map(|place| (place - places[0]).norm()).fold(0.0, f64::max),
@@ -169,6 +173,17 @@ fn longer_side(image: &Image) -> Option<f64> {
         most - least
     };
     (seen().count() >= 3).then(|| side(0).max(side(1))).filter(|side| side.is_finite())
+}
+
+fn dip_sine(candidate: &Candidate) -> f64 {
+    let centers: BTreeMap<FrameId, Point3<f64>> =
+        candidate.background.images.iter().map(|(id, image)| (id.frame(), image.cam_from_world.center())).collect();
+    let of_frame = |pose: &ObjectPose| {
+        let (plane, center) = (candidate.planes.get(&pose.frame)?, centers.get(&pose.frame)?);
+        let sight = Vector3::from(pose.position) - center.coords;
+        Some((-plane.normal.dot(&sight) / sight.norm()).clamp(0.0, 1.0))
+    };
+    median(candidate.trajectory.poses.iter().filter_map(of_frame).collect()).unwrap_or(0.0)
 }
 
 /// Ratio of the object's length to its apparent length; `length` is in its own unit.

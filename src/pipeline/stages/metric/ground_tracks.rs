@@ -1,5 +1,7 @@
 //! Ground tracks in metres and on the map, with the verdict on each.
 
+use std::f64::consts::FRAC_1_SQRT_2;
+
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::placed::{Placing, in_units, span};
@@ -26,7 +28,8 @@ const NORMAL: f64 = 1.64;
 /// however seldom it comes. A sign over the road is no vehicle, and moves over the ground as the camera does.
 const SURE: f64 = 0.5;
 /// Apparent sizes of vehicles, metres: the larger side at least as a motorcycle from behind is high, at most as a truck
-/// with its trailer is long; the smaller side at most as a truck is high.
+/// with its trailer is long; the smaller side at most as a truck is high, and seen from above as one is that stands
+/// across the image.
 const LARGER_M: [f64; 2] = [1.0, 25.0];
 const SMALLER_M: f64 = 5.0;
 /// Standard deviations by which a size must be outside.
@@ -51,7 +54,9 @@ pub(super) fn fill(
     let mut kept = Vec::new();
     for mut track in tracks {
         placing.fill_ground(&mut track, scale);
-        match track.apparent_size_m.as_ref().and_then(impossible_size).or_else(|| off_the_ground(&track)) {
+        let dip_sine = placing.dip_sine(&track);
+        let of_size = |size: &[Estimate; 2]| impossible_size(size, dip_sine);
+        match track.apparent_size_m.as_ref().and_then(of_size).or_else(|| off_the_ground(&track)) {
             None => kept.push(track),
             Some(problem) => {
                 let text = format!("object {}: no ground track: {problem}; probably not a vehicle", track.id);
@@ -63,11 +68,14 @@ pub(super) fn fill(
 }
 
 /// Problem of an apparent size.
-fn impossible_size([width, height]: &[Estimate; 2]) -> Option<String> {
+///
+/// * `dip_sine` – sine of the angle of the line of sight below the horizon.
+fn impossible_size([width, height]: &[Estimate; 2], dip_sine: f64) -> Option<String> {
     let (larger, smaller) = if width.value > height.value { (width, height) } else { (height, width) };
     let is_below = |size: &Estimate, limit: f64| size.value + OUTSIDE * size.std < limit;
     let is_above = |size: &Estimate, limit: f64| size.value - OUTSIDE * size.std > limit;
-    let is_odd = is_below(larger, LARGER_M[0]) || is_above(larger, LARGER_M[1]) || is_above(smaller, SMALLER_M);
+    let most = SMALLER_M.max(FRAC_1_SQRT_2 * LARGER_M[1] * dip_sine);
+    let is_odd = is_below(larger, LARGER_M[0]) || is_above(larger, LARGER_M[1]) || is_above(smaller, most);
     is_odd.then(|| format!("apparent size {:.1} × {:.1} m", width.value, height.value))
 }
 
@@ -105,6 +113,16 @@ impl Placing<'_> {
             let placed = track.positions.iter_mut().filter_map(|position| position.metric.as_mut());
             placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));
         }
+    }
+
+    /// Sine of the angle of the lines of sight below the horizon, median.
+    fn dip_sine(&self, track: &GroundTrack) -> f64 {
+        let up = self.frame.metric_from_world().rotation.inverse() * Vector3::z();
+        let of = |position: &GroundPosition| {
+            let ObservedContact { point, center, .. } = self.observed(position)?;
+            Some(up.dot(&(center - point).try_normalize(0.0)?).max(0.0))
+        };
+        median(track.positions.iter().filter_map(of).collect()).unwrap_or(0.0)
     }
 
     fn observed(&self, position: &GroundPosition) -> Option<ObservedContact> {
@@ -193,11 +211,18 @@ mod tests {
     fn sizes_of_no_vehicle_are_impossible() {
         let size = |width: f64, height: f64| [width, height].map(|value| Estimate { value, std: 0.1 * value });
         for vehicle in [size(1.8, 1.4), size(4.5, 1.5), size(0.7, 1.6), size(16.0, 3.8), size(0.9, 0.6)] {
-            assert_eq!(impossible_size(&vehicle), None, "{vehicle:?}");
+            assert_eq!(impossible_size(&vehicle, 0.2), None, "{vehicle:?}");
         }
         for other in [size(0.3, 0.2), size(40.0, 3.0), size(12.0, 9.0)] {
-            assert!(impossible_size(&other).unwrap().starts_with("apparent size"), "{other:?}");
+            assert!(impossible_size(&other, 0.2).unwrap().starts_with("apparent size"), "{other:?}");
         }
+    }
+
+    #[test]
+    fn a_lorry_across_the_image_is_as_high_as_wide_from_above() {
+        let lorry = [7.4, 6.8].map(|value| Estimate { value, std: 0.02 * value });
+        assert_eq!(impossible_size(&lorry, 0.98), None);
+        assert!(impossible_size(&lorry, 0.3).is_some());
     }
 
     #[test]

@@ -80,7 +80,8 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
     }
     let vehicles: Vec<_> = vehicles.into_values().collect();
     let tilts = hovering::tilts(run, background, background::normal_by_lines(run).as_ref())?;
-    Ok(crate::ground::hovering_ground(background, &vehicles, tilts))
+    let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
+    Ok(crate::ground::hovering_ground(background, &vehicles, tilts, focal_std))
 }
 
 /// Returns true if the border of the image cuts a mask off.
