@@ -15,8 +15,9 @@
 //! such a background is the camera's height.
 
 use std::collections::BTreeMap;
+use std::f64::consts::FRAC_1_SQRT_2;
 
-use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Point2, Point3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix3x2, Point2, Point3, UnitQuaternion, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
@@ -42,6 +43,8 @@ pub struct HoveringGround {
     pub sources: Vec<StatedTilt>,
     /// Sources that contradict all others.
     pub contradictions: Vec<TiltContradiction>,
+    /// Covariance of the normal, without that of the focal length.
+    pub normal_covariance: Matrix3<f64>,
     /// Change of the normal by one standard deviation of the focal length.
     pub normal_by_focal: Vector3<f64>,
 }
@@ -179,6 +182,12 @@ pub fn hovering_ground(
     let tilt_std = covariance.trace().sqrt();
     let normal = |angles: Vector2<f64>| world_from_cam * up_in_cam(angles);
     let normal_in_world = normal(angles);
+    let by_angle = [Vector2::x(), Vector2::y()].map(|axis| {
+        const STEP: f64 = 1e-4;
+        (normal(angles + axis * STEP) - normal(angles - axis * STEP)) / (2.0 * STEP)
+    });
+    let by_angles = Matrix3x2::from_columns(&by_angle);
+    let normal_covariance = by_angles * covariance * by_angles.transpose() * disagreement.powi(2);
     (tilt_std <= MAX_TILT_STD).then(|| HoveringGround {
         normal_in_world,
         point_in_world: Point3::from(-normal_in_world),
@@ -187,6 +196,7 @@ pub fn hovering_ground(
         pitch: angles.x,
         sources: stated,
         contradictions,
+        normal_covariance,
         normal_by_focal: 0.5 * (normal(angles + by_focal) - normal(angles - by_focal)),
     })
 }
@@ -430,7 +440,8 @@ impl HoveringGround {
         let height = self.height_of(image);
         let foot = lowest_foot(background, image, pixels, (&normal, height))?;
         let point = center - normal * height;
-        let of_tilt = if self.is_mapped() { 0.0 } else { self.tilt_std * (foot - point).norm() };
+        let off = foot - point;
+        let of_tilt = if self.is_mapped() { 0.0 } else { off.dot(&(self.normal_covariance * off)).max(0.0).sqrt() };
         let height_std = of_tilt.hypot(UNEVENNESS * height);
         Some(GroundPlane {
             normal,
@@ -441,7 +452,8 @@ impl HoveringGround {
             basis: PlaneBasis::Vehicles,
             height_std,
             common_height_std: height_std,
-            tilt_std: self.tilt_std,
+            // About either horizontal axis.
+            tilt_std: self.tilt_std * FRAC_1_SQRT_2,
         })
     }
 }

@@ -6,7 +6,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::super::WINDOW_S;
 use super::super::window::{LIMITS, SPARE_S, Snapshot, sub_table};
@@ -71,14 +71,17 @@ pub(super) fn ground_of_map(dominant: &DominantPlane, model: &Reconstruction) ->
     let spread = dominant.spread(model);
     let height = dominant.normal.dot(&(image.cam_from_world.center() - dominant.point));
     let axis = image.cam_from_world.rotation.inverse() * Vector3::z();
+    let tilt_std = (spread / height).atan();
+    let level = Matrix3::identity() - dominant.normal * dominant.normal.transpose();
     (height > spread).then(|| HoveringGround {
         normal_in_world: dominant.normal,
         point_in_world: dominant.point,
-        tilt_std: (spread / height).atan(),
+        tilt_std,
         num_vehicles: 0,
         pitch: (-dominant.normal.dot(&axis)).asin(),
         sources: Vec::new(),
         contradictions: Vec::new(),
+        normal_covariance: level * tilt_std.powi(2),
         normal_by_focal: Vector3::zeros(),
     })
 }
