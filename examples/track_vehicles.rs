@@ -121,9 +121,7 @@ fn paint(picture: &mut RgbImage, tracked: &TrackedMask) {
 
 fn rim(mask: &Mask) -> Mask {
     let mut rim = mask.dilated(1);
-    for (pixel, &inside) in rim.pixels_mut().iter_mut().zip(mask.pixels()) {
-        *pixel &= !inside;
-    }
+    mask.iter().for_each(|(x, y)| rim.fill(x..x + 1, y, false));
     rim
 }
 

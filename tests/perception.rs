@@ -102,8 +102,8 @@ fn against_truth(outcome: &Outcome, truth: &[Option<[f64; 4]>]) -> (usize, usize
 
 /// The part of a mask's rows between two fractions of the height that is set.
 fn share(mask: &Mask, from: f64, to: f64) -> f64 {
-    let rows = (f64::from(mask.height()) * from) as usize..(f64::from(mask.height()) * to) as usize;
-    let pixels = &mask.pixels()[rows.start * mask.width() as usize..rows.end * mask.width() as usize];
+    let [y0, y1] = [from, to].map(|share| (f64::from(mask.height()) * share) as u32);
+    let pixels = mask.pixels_in(BoundingBox { x0: 0, y0, x1: mask.width(), y1 });
     pixels.iter().filter(|&&p| p).count() as f64 / pixels.len().max(1) as f64
 }
 

@@ -8,6 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::large_frames::AnySizeFrontEnd;
 use super::matching::MatchOptions;
+use super::picture::Picture;
 use super::rootsift::FeatureOptions;
 use super::sift_front_end::{Pairing, SiftFrontEnd, SiftOptions};
 use super::tracks::TrackTable;
@@ -15,7 +16,6 @@ use super::video_front_end::VideoOptions;
 use crate::camera::Camera;
 use crate::checks::Checked;
 use crate::features::FeatureError;
-use crate::image::RgbImage;
 use crate::scene::{Frame, Mask};
 
 /// Front end; `features` other than `auto` overrides it, and unordered frames always use `sift`.
@@ -95,16 +95,22 @@ impl FrontEnd {
     ///
     /// # Errors
     /// [`FeatureError::MaskSize`] if the mask has not the image's size, [`FeatureError::OpenCv`].
-    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
-        self.push_of(0, frame, image, mask)
+    pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
+        self.push_of(0, frame, picture, mask)
     }
 
     /// As [`FrontEnd::push`], of one of several cameras, by its place in the list.
     ///
     /// # Errors
     /// As [`FrontEnd::push`]; [`FeatureError::NoCamera`] if there is no such camera.
-    pub fn push_of(&mut self, camera: usize, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
-        let (expected, found) = (image.dimensions(), (mask.width(), mask.height()));
+    pub fn push_of(
+        &mut self,
+        camera: usize,
+        frame: &Frame,
+        picture: &Picture,
+        mask: &Mask,
+    ) -> Result<(), FeatureError> {
+        let (expected, found) = (picture.rgb().dimensions(), (mask.width(), mask.height()));
         if expected != found {
             return Err(FeatureError::MaskSize { name: frame.name.clone(), expected, found });
         }
@@ -113,8 +119,8 @@ impl FrontEnd {
             Self::Sift(f) if camera >= f.num_cameras() => {
                 Err(FeatureError::NoCamera { camera, count: f.num_cameras() })
             }
-            Self::Video(f) => f.push(frame, image, mask),
-            Self::Sift(f) => f.push(frame, camera, image, mask),
+            Self::Video(f) => f.push(frame, picture, mask),
+            Self::Sift(f) => f.push(frame, camera, picture.rgb(), mask),
         }
     }
 
@@ -143,6 +149,7 @@ mod tests {
     use super::*;
     use crate::checks::testing::variations;
     use crate::features::Target;
+    use crate::image::RgbImage;
     use crate::math::seeded_rng;
     use crate::scene::FrameId;
     use rand::Rng as _;
@@ -171,7 +178,8 @@ mod tests {
                 }
                 num_passed += 1;
                 let mut front_end = FrontEnd::new(&options, Camera::prior(120, 80));
-                let pushed = frames.iter().try_for_each(|(frame, image)| front_end.push(frame, image, &mask));
+                let pushed =
+                    frames.iter().try_for_each(|(frame, image)| front_end.push(frame, &Picture::new(image), &mask));
                 let found = pushed.and_then(|()| front_end.finish(1));
                 assert!(found.is_ok(), "{changed}: {:?}", found.err());
             }

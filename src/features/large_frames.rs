@@ -6,6 +6,7 @@
 //! frames are reduced to 1920, and positions are given in pixels of the frame. A target whose first mask fits in 1920
 //! pixels is small, and keeps its detail.
 
+use super::picture::Picture;
 use super::tracks::TrackTable;
 use super::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::camera::Camera;
@@ -42,15 +43,16 @@ impl AnySizeFrontEnd {
     ///
     /// # Errors
     /// [`FeatureError::OpenCv`] if OpenCV fails.
-    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
-        let (options, camera) = (&self.options, &self.camera);
+    pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
+        let (options, camera, image) = (&self.options, &self.camera, picture.rgb());
         let (front_end, reduction) = self.at_work.get_or_insert_with(|| begin(options, camera, image, mask));
         if *reduction == Reduction::None {
-            return front_end.push(frame, image, mask);
+            return front_end.push(frame, picture, mask);
         }
         let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
         let scale = scale(image.dimensions(), (width, height));
-        front_end.push(frame, &resize_rgb(image, width, height)?, &reduced(mask, width, height))?;
+        let smaller = resize_rgb(image, width, height)?;
+        front_end.push(frame, &Picture::new(&smaller), &reduced(mask, width, height))?;
         front_end.enlarge_last(scale);
         Ok(())
     }
@@ -107,7 +109,7 @@ mod tests {
         for k in 0..3 {
             let picture = ::image::imageops::crop_imm(&whole, STEP_PX * k, 0, 3840, 200).to_image();
             let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
-            front_end.push(&frame, &picture, &Mask::full(3840, 200)).unwrap();
+            front_end.push(&frame, &Picture::new(&picture), &Mask::full(3840, 200)).unwrap();
         }
         let table = front_end.finish();
         assert!(table.tracks.len() > 50, "{}", table.tracks.len());

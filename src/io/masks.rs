@@ -58,9 +58,7 @@ struct Grey {
 
 fn as_mask(picture: Grey) -> Mask {
     let (width, height) = picture.size;
-    let mut mask = Mask::empty(width, height);
-    mask.pixels_mut().iter_mut().zip(picture.grey).for_each(|(pixel, value)| *pixel = value != 0);
-    mask
+    Mask::from_values(width, height, &picture.grey, |value| value != 0)
 }
 
 fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<Grey, IoError> {
@@ -189,7 +187,7 @@ mod tests {
         let path = folder.path().join("m.png");
         std::fs::write(&path, ONE_BIT).unwrap();
         assert_eq!(read_label_map(&path, (3, 2)).unwrap().labels, [1, 0, 1, 0, 1, 0]);
-        assert_eq!(read_mask(&path, (3, 2)).unwrap().pixels(), [true, false, true, false, true, false]);
+        assert_eq!(read_mask(&path, (3, 2)).unwrap(), Mask::from_fn(3, 2, |x, y| (x + y) % 2 == 0));
         // Two bits say nothing of what their values mean.
         let mut two_bits = ONE_BIT.to_vec();
         two_bits[24] = 2;

@@ -281,11 +281,7 @@ impl Perception {
             let rect = Rect { x0: rect.x0 - margin, y0: rect.y0 - margin, x1: rect.x1 + margin, y1: rect.y1 + margin };
             let rect = rect.clipped(width, height);
             for y in rect.y0.floor() as u32..rect.y1.ceil() as u32 {
-                let row = (y * width) as usize;
-                let (first, end) = (row + rect.x0.floor() as usize, row + rect.x1.ceil() as usize);
-                if first < end {
-                    mask.pixels_mut()[first..end].fill(false);
-                }
+                mask.fill(rect.x0.floor() as u32..rect.x1.ceil() as u32, y, false);
             }
         }
         mask

@@ -15,6 +15,7 @@ use super::map::WorldMap;
 use super::models::{Model, Request, Subject};
 use super::perception::{Identity, Outlined};
 use crate::camera::Camera;
+use crate::features::Picture;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::Options;
@@ -136,11 +137,12 @@ impl Vehicles {
         masks: &[TrackedMask],
         camera: Camera,
     ) -> Result<(), LiveError> {
+        let picture = Picture::new(picture);
         for TrackedMask { object, mask, .. } in masks {
             let Some(vehicle) = self.vehicles.get_mut(object) else { continue };
             let new = || VideoFrontEnd::new(VideoOptions::object(), camera).only_across_breaks();
             let points = vehicle.points.get_or_insert_with(new);
-            points.push(frame, picture, mask)?;
+            points.push(frame, &picture, mask)?;
             if points.table().views.len() >= MAX_VIEWS {
                 let first = self.frames.keys().next().copied().unwrap_or(frame.id);
                 points.retain_views(|_, view| view.image.frame() >= first);

@@ -8,6 +8,7 @@ use nalgebra::Point2;
 use super::map::WorldMap;
 use super::{LiveError, Purpose, WINDOW_S};
 use crate::camera::Camera;
+use crate::features::Picture;
 use crate::features::lines::ImageLines;
 use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
@@ -85,7 +86,7 @@ impl Window {
 
     /// Takes the next frame.
     pub(super) fn push(&mut self, frame: &Frame, picture: &RgbImage, background: &Mask) -> Result<(), LiveError> {
-        self.front_end.push(frame, picture, background)?;
+        self.front_end.push(frame, &Picture::new(picture), background)?;
         self.frames.push(frame.clone());
         self.is_key.push(false);
         let is_key = self.is_keyframe();

@@ -204,7 +204,7 @@ mod tests {
         let margin = ground_margin(&scores, &[false, true, true]).unwrap();
         assert_eq!(margin.values, [2.0, -2.0]);
         let mask = margin.mask((8, 2));
-        assert_eq!(mask.pixels()[..8], [true, true, true, true, false, false, false, false]);
+        assert_eq!(mask, crate::scene::Mask::from_fn(8, 2, |x, _| x < 4));
     }
 
     #[test]

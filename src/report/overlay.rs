@@ -106,19 +106,13 @@ fn draw(picture: &mut RgbImage, silhouette: &Silhouette, line_px: u32) {
     };
     let (across, down) = (part(&columns, bounds.x0, bounds.x1), part(&rows, bounds.y0, bounds.y1));
     let (columns, rows) = (&columns[across.clone()], &rows[down.clone()]);
-    let set = mask.pixels();
     let inside = Mask::from_fn(columns.len() as u32, rows.len() as u32, |x, y| {
-        set[rows[y as usize] as usize * mask.width() as usize + columns[x as usize] as usize]
+        mask.get(columns[x as usize].into(), rows[y as usize].into())
     });
     let core = inside.eroded(line_px);
-    for (y, row) in down.enumerate() {
-        for (x, column) in across.clone().enumerate() {
-            let index = y * columns.len() + x;
-            if inside.pixels()[index] {
-                let pixel = picture.get_pixel_mut(column as u32, row as u32);
-                *pixel = if core.pixels()[index] { tinted(*pixel, colour) } else { Rgb(colour) };
-            }
-        }
+    for (x, y) in inside.iter() {
+        let pixel = picture.get_pixel_mut(across.start as u32 + x, down.start as u32 + y);
+        *pixel = if core.get(x.into(), y.into()) { tinted(*pixel, colour) } else { Rgb(colour) };
     }
 }
 

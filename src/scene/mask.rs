@@ -1,12 +1,17 @@
 //! Binary masks, label maps and detections, all at the frame's own resolution.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
-/// A set of pixels of one frame.
-#[derive(Clone, Debug, PartialEq, Eq)]
+/// A set of pixels of one frame. Only a window around the set pixels is stored: a frame has many small objects.
+#[derive(Clone, Debug)]
 pub struct Mask {
     width: u32,
     height: u32,
+    /// Pixels outside of it are clear; it may be larger than the set pixels need.
+    window: BoundingBox,
+    /// Row-major over the window.
     pixels: Vec<bool>,
 }
 
@@ -38,23 +43,67 @@ impl BoundingBox {
     pub fn touches_border(&self, width: u32, height: u32) -> bool {
         self.x0 == 0 || self.y0 == 0 || self.x1 >= width || self.y1 >= height
     }
+
+    /// Number of pixels.
+    fn area(&self) -> usize {
+        self.width() as usize * self.height() as usize
+    }
+
+    /// The pixels in both; empty if there are none.
+    fn intersection(&self, other: &Self) -> Self {
+        let (x0, y0) = (self.x0.max(other.x0), self.y0.max(other.y0));
+        Self { x0, y0, x1: self.x1.min(other.x1).max(x0), y1: self.y1.min(other.y1).max(y0) }
+    }
+
+    /// Grown by a distance on all sides, within a frame.
+    fn grown(&self, by_px: u32, (width, height): (u32, u32)) -> Self {
+        Self {
+            x0: self.x0.saturating_sub(by_px),
+            y0: self.y0.saturating_sub(by_px),
+            x1: self.x1.saturating_add(by_px).min(width),
+            y1: self.y1.saturating_add(by_px).min(height),
+        }
+    }
 }
 
 impl Mask {
     /// No pixel set.
     pub fn empty(width: u32, height: u32) -> Self {
-        Self { width, height, pixels: vec![false; width as usize * height as usize] }
+        Self { width, height, window: BoundingBox { x0: 0, y0: 0, x1: 0, y1: 0 }, pixels: Vec::new() }
     }
 
     /// Every pixel set.
     pub fn full(width: u32, height: u32) -> Self {
-        Self { width, height, pixels: vec![true; width as usize * height as usize] }
+        let window = BoundingBox { x0: 0, y0: 0, x1: width, y1: height };
+        Self { width, height, window, pixels: vec![true; window.area()] }
     }
 
     /// The pixels at which `inside(x, y)` holds.
     pub fn from_fn(width: u32, height: u32, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
         let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| inside(x, y)).collect();
-        Self { width, height, pixels }
+        Self { width, height, window: BoundingBox { x0: 0, y0: 0, x1: width, y1: height }, pixels }
+    }
+
+    /// The pixels of a window.
+    ///
+    /// * `pixels` – row-major over the window, which must lie in the frame.
+    pub fn from_window((width, height): (u32, u32), window: BoundingBox, pixels: Vec<bool>) -> Self {
+        assert!(window.x1 <= width && window.y1 <= height && pixels.len() == window.area(), "a window of the frame");
+        Self { width, height, window, pixels }
+    }
+
+    /// The pixels whose value `inside` accepts.
+    ///
+    /// * `values` – row-major over the frame.
+    pub fn from_values<T: Copy>(width: u32, height: u32, values: &[T], inside: impl Fn(T) -> bool) -> Self {
+        let rows = || (0..height).zip(values.chunks_exact((width as usize).max(1)));
+        let Some(window) = bounds_of(rows().map(|(y, row)| (y, 0, row)), &inside) else {
+            return Self::empty(width, height);
+        };
+        let rows = rows().skip(window.y0 as usize).take(window.height() as usize);
+        let inside = |row: &[T]| row.iter().map(|value| inside(*value)).collect::<Vec<_>>();
+        let pixels = rows.flat_map(|(_, row)| inside(&row[window.x0 as usize..window.x1 as usize])).collect();
+        Self { width, height, window, pixels }
     }
 
     /// Width, pixels.
@@ -67,28 +116,43 @@ impl Mask {
         self.height
     }
 
-    /// Row-major pixels.
-    pub fn pixels(&self) -> &[bool] {
-        &self.pixels
+    /// The pixels of a window, row-major; those outside of the frame are clear.
+    pub fn pixels_in(&self, window: BoundingBox) -> Vec<bool> {
+        let common = window.intersection(&self.window);
+        let mut pixels = vec![false; window.area()];
+        for (y, row) in self.parts(&common) {
+            let to = place(&window, common.x0, y);
+            pixels[to..to + row.len()].copy_from_slice(row);
+        }
+        pixels
     }
 
-    /// Row-major pixels, to change.
-    pub fn pixels_mut(&mut self) -> &mut [bool] {
-        &mut self.pixels
+    /// The set pixels, row by row.
+    pub fn iter(&self) -> impl Iterator<Item = (u32, u32)> + '_ {
+        self.rows().flat_map(|(y, x0, row)| (x0..).zip(row).filter(|(_, set)| **set).map(move |(x, _)| (x, y)))
     }
 
-    /// Row-major bytes, 255 where set: what image libraries and the contract's PNG files take.
+    /// Rows of the window: row and first column in the frame, and pixels.
+    pub fn rows(&self) -> impl Iterator<Item = (u32, u32, &[bool])> {
+        let rows = self.pixels.chunks_exact((self.window.width() as usize).max(1));
+        (self.window.y0..).zip(rows).map(|(y, row)| (y, self.window.x0, row))
+    }
+
+    /// Row-major bytes of the frame, 255 where set: what image libraries and the contract's PNG files take.
     pub fn to_bytes(&self) -> Vec<u8> {
-        self.pixels.iter().map(|&p| if p { 255 } else { 0 }).collect()
+        let mut bytes = vec![0; self.width as usize * self.height as usize];
+        for (y, x0, row) in self.rows() {
+            let start = y as usize * self.width as usize + x0 as usize;
+            bytes[start..start + row.len()].iter_mut().zip(row).for_each(|(byte, set)| *byte = 255 * u8::from(*set));
+        }
+        bytes
     }
 
     /// Returns true if a pixel is set; outside the frame none is.
     pub fn get(&self, x: i64, y: i64) -> bool {
-        x >= 0
-            && y >= 0
-            && x < i64::from(self.width)
-            && y < i64::from(self.height)
-            && self.pixels[y as usize * self.width as usize + x as usize]
+        let BoundingBox { x0, y0, x1, y1 } = self.window;
+        let is_stored = (i64::from(x0)..i64::from(x1)).contains(&x) && (i64::from(y0)..i64::from(y1)).contains(&y);
+        is_stored && self.pixels[place(&self.window, x as u32, y as u32)]
     }
 
     /// Returns true if the pixel at an image position is set (center of the first pixel at 0.5, 0.5).
@@ -96,9 +160,47 @@ impl Mask {
         self.get(x.floor() as i64, y.floor() as i64)
     }
 
-    /// Sets or clears one pixel, which must lie in the frame.
-    pub fn set(&mut self, x: u32, y: u32, value: bool) {
-        self.pixels[y as usize * self.width as usize + x as usize] = value;
+    /// Sets one pixel, which must lie in the frame.
+    pub fn set(&mut self, x: u32, y: u32) {
+        self.fill(x..x + 1, y, true);
+    }
+
+    /// Sets or clears some columns of a row, all of which must lie in the frame.
+    pub fn fill(&mut self, columns: Range<u32>, y: u32, value: bool) {
+        assert!(columns.end <= self.width && y < self.height, "pixels of the frame");
+        let wanted = BoundingBox { x0: columns.start, y0: y, x1: columns.end.max(columns.start), y1: y + 1 };
+        if value && wanted.area() > 0 {
+            self.reserve(&wanted);
+        }
+        let common = wanted.intersection(&self.window);
+        if common.area() > 0 {
+            let start = place(&self.window, common.x0, y);
+            self.pixels[start..start + common.width() as usize].fill(value);
+        }
+    }
+
+    /// Makes the window reach over some pixels. It grows by its own size at least, so that setting pixels one by one
+    /// copies each of them a few times only.
+    fn reserve(&mut self, wanted: &BoundingBox) {
+        let old = self.window;
+        if wanted.intersection(&old) == *wanted {
+            return;
+        }
+        let mut window = *wanted;
+        if old.area() > 0 {
+            let before =
+                |old: u32, new: u32, size: u32| if new < old { new.min(old.saturating_sub(size)) } else { old };
+            let after = |old: u32, new: u32, size: u32, limit: u32| {
+                if new > old { new.max(old.saturating_add(size).min(limit)) } else { old }
+            };
+            window = BoundingBox {
+                x0: before(old.x0, wanted.x0, old.width()),
+                y0: before(old.y0, wanted.y0, old.height()),
+                x1: after(old.x1, wanted.x1, old.width(), self.width),
+                y1: after(old.y1, wanted.y1, old.height(), self.height),
+            };
+        }
+        (self.pixels, self.window) = (self.pixels_in(window), window);
     }
 
     /// Number of set pixels.
@@ -108,27 +210,16 @@ impl Mask {
 
     /// The smallest box round all set pixels; `None` if there is none.
     pub fn bounding_box(&self) -> Option<BoundingBox> {
-        let mut found: Option<BoundingBox> = None;
-        for (y, row) in (0..self.height).zip(self.pixels.chunks_exact((self.width as usize).max(1))) {
-            // Without an early end it is done in vectors: most rows are empty.
-            if !row.iter().fold(false, |any, &p| any | p) {
-                continue;
-            }
-            let Some(first) = row.iter().position(|&p| p) else { continue };
-            let last = row.iter().rposition(|&p| p).unwrap_or(first);
-            let (x0, x1) = (first as u32, last as u32 + 1);
-            found = Some(match found {
-                None => BoundingBox { x0, y0: y, x1, y1: y + 1 },
-                Some(b) => BoundingBox { x0: b.x0.min(x0), y0: b.y0, x1: b.x1.max(x1), y1: y + 1 },
-            });
-        }
-        found
+        bounds_of(self.rows(), |set| set)
     }
 
     /// Pixels set in both; the sizes must agree.
     pub fn intersection_px2(&self, other: &Self) -> usize {
         assert_eq!((self.width, self.height), (other.width, other.height), "masks of one frame have one size");
-        self.pixels.iter().zip(&other.pixels).filter(|&(&a, &b)| a && b).count()
+        let common = self.window.intersection(&other.window);
+        let in_both = |(one, two): (&[bool], &[bool])| one.iter().zip(two).filter(|&(&a, &b)| a && b).count();
+        let rows = self.parts(&common).zip(other.parts(&common));
+        rows.map(|((_, one), (_, two))| in_both((one, two))).sum()
     }
 
     /// Intersection over union; 0 when both are empty.
@@ -141,70 +232,99 @@ impl Mask {
     /// Adds the pixels of another mask of the same size.
     pub fn union_with(&mut self, other: &Self) {
         assert_eq!((self.width, self.height), (other.width, other.height), "masks of one frame have one size");
-        for (a, &b) in self.pixels.iter_mut().zip(&other.pixels) {
-            *a |= b;
+        let Some(added) = other.bounding_box() else { return };
+        self.reserve(&added);
+        for (y, row) in other.parts(&added) {
+            let start = place(&self.window, added.x0, y);
+            self.pixels[start..start + row.len()].iter_mut().zip(row).for_each(|(a, &b)| *a |= b);
         }
     }
 
     /// The pixels that are not set.
     pub fn complement(&self) -> Self {
-        Self { width: self.width, height: self.height, pixels: self.pixels.iter().map(|&p| !p).collect() }
+        let mut out = Self::full(self.width, self.height);
+        for (y, x0, row) in self.rows() {
+            let start = place(&out.window, x0, y);
+            out.pixels[start..start + row.len()].iter_mut().zip(row).for_each(|(out, set)| *out = !set);
+        }
+        out
     }
 
     /// Grown by `radius_px` in the maximum norm: a pixel is set if any within the square round it is.
     pub fn dilated(&self, radius_px: u32) -> Self {
         let Some(from) = self.bounding_box().filter(|_| radius_px > 0) else { return self.clone() };
-        let to = BoundingBox {
-            x0: from.x0.saturating_sub(radius_px),
-            y0: from.y0.saturating_sub(radius_px),
-            x1: from.x1.saturating_add(radius_px).min(self.width),
-            y1: from.y1.saturating_add(radius_px).min(self.height),
-        };
-        let mut out = Self::empty(self.width, self.height);
+        let window = from.grown(radius_px, (self.width, self.height));
+        let (before, size) = (self.pixels_in(window), window.width() as usize);
+        let mut pixels = vec![false; before.len()];
         // Separable: along rows, then along columns, of which one row is looked at after the other.
-        let columns = to.x0 as usize..to.x1 as usize;
-        for y in from.y0..from.y1 {
-            let row = self.row(y);
-            spread(&self.pixels[row.start + columns.start..row.start + columns.end], radius_px as usize, |x| {
-                out.pixels[row.start + columns.start + x] = true;
-            });
+        for (row, out) in before.chunks_exact(size).zip(pixels.chunks_exact_mut(size)) {
+            spread(row, radius_px as usize, |x| out[x] = true);
         }
-        let part = |y: u32| self.row(y).start + columns.start..self.row(y).start + columns.end;
-        let rows: Vec<_> = (to.y0..to.y1).map(part).collect();
-        let wide = out.pixels.clone();
-        smear(&wide, &mut out.pixels, rows.iter().cloned(), radius_px);
-        smear(&wide, &mut out.pixels, rows.into_iter().rev(), radius_px);
-        out
-    }
-
-    /// Where a row lies among the pixels.
-    fn row(&self, y: u32) -> std::ops::Range<usize> {
-        let start = y as usize * self.width as usize;
-        start..start + self.width as usize
+        let wide = pixels.clone();
+        let rows: Vec<Range<usize>> = (0..window.height() as usize).map(|y| y * size..(y + 1) * size).collect();
+        smear(&wide, &mut pixels, rows.iter().cloned(), radius_px);
+        smear(&wide, &mut pixels, rows.into_iter().rev(), radius_px);
+        Self { window, pixels, ..*self }
     }
 
     /// Shrunk by `radius_px` in the maximum norm; pixels beyond the frame's border count as set.
     pub fn eroded(&self, radius_px: u32) -> Self {
         let Some(set) = self.bounding_box().filter(|_| radius_px > 0) else { return self.clone() };
         // Nothing is set beyond the box, which one pixel more on each side says as well as all of them.
-        let (x0, y0) = (set.x0.saturating_sub(1), set.y0.saturating_sub(1));
-        let (x1, y1) = ((set.x1 + 1).min(self.width), (set.y1 + 1).min(self.height));
-        let part = |mask: &Self, y: u32| mask.row(y).start + x0 as usize..mask.row(y).start + x1 as usize;
-        let mut unset = Self::empty(x1 - x0, y1 - y0);
-        for y in y0..y1 {
-            let own = unset.row(y - y0);
-            unset.pixels[own].copy_from_slice(&self.pixels[part(self, y)]);
-        }
-        unset.pixels.iter_mut().for_each(|set| *set = !*set);
-        let unset = unset.dilated(radius_px);
-        let mut out = Self::empty(self.width, self.height);
-        for y in y0..y1 {
-            let to = part(&out, y);
-            let from = &unset.pixels[unset.row(y - y0)];
-            out.pixels[to].iter_mut().zip(from).for_each(|(to, from)| *to = !from);
-        }
-        out
+        let window = set.grown(1, (self.width, self.height));
+        let inverted = |pixels: Vec<bool>| pixels.into_iter().map(|set| !set).collect();
+        let own = BoundingBox { x0: 0, y0: 0, x1: window.width(), y1: window.height() };
+        let unset = Self::from_window((own.x1, own.y1), own, inverted(self.pixels_in(window))).dilated(radius_px);
+        Self { window, pixels: inverted(unset.pixels_in(own)), ..*self }
     }
+
+    /// Rows of a part of the window, by their place in the frame.
+    fn parts(&self, part: &BoundingBox) -> impl Iterator<Item = (u32, &[bool])> {
+        let (rows, width) = (if part.area() > 0 { part.y0..part.y1 } else { 0..0 }, part.width() as usize);
+        let x0 = part.x0;
+        rows.map(move |y| {
+            let start = place(&self.window, x0, y);
+            (y, &self.pixels[start..start + width])
+        })
+    }
+}
+
+impl PartialEq for Mask {
+    fn eq(&self, other: &Self) -> bool {
+        let content = |mask: &Self| mask.bounding_box().map(|bounds| (bounds, mask.pixels_in(bounds)));
+        (self.width, self.height) == (other.width, other.height) && content(self) == content(other)
+    }
+}
+
+impl Eq for Mask {}
+
+/// Where a pixel of a window lies among its pixels.
+fn place(window: &BoundingBox, x: u32, y: u32) -> usize {
+    (y - window.y0) as usize * window.width() as usize + (x - window.x0) as usize
+}
+
+/// The smallest box around the values that are inside; `None` if there is none.
+///
+/// * `rows` – row and first column of each, and its values.
+fn bounds_of<'a, T: Copy + 'a>(
+    rows: impl Iterator<Item = (u32, u32, &'a [T])>,
+    inside: impl Fn(T) -> bool,
+) -> Option<BoundingBox> {
+    let mut found: Option<BoundingBox> = None;
+    for (y, start, row) in rows {
+        // Without an early end it is done in vectors: most rows are empty.
+        if !row.iter().fold(false, |any, &value| any | inside(value)) {
+            continue;
+        }
+        let Some(first) = row.iter().position(|&value| inside(value)) else { continue };
+        let last = row.iter().rposition(|&value| inside(value)).unwrap_or(first);
+        let (x0, x1) = (start + first as u32, start + last as u32 + 1);
+        found = Some(match found {
+            None => BoundingBox { x0, y0: y, x1, y1: y + 1 },
+            Some(b) => BoundingBox { x0: b.x0.min(x0), y0: b.y0, x1: b.x1.max(x1), y1: y + 1 },
+        });
+    }
+    found
 }
 
 /// Calls `set` for every place in a row within `radius` of a set one.
@@ -220,7 +340,7 @@ fn spread(row: &[bool], radius: usize, mut set: impl FnMut(usize)) {
 /// Sets in each row what is set in one of the `radius` rows before it.
 ///
 /// * `rows` – where they lie among the pixels, one after the other; all of one length.
-fn smear(pixels: &[bool], out: &mut [bool], rows: impl Iterator<Item = std::ops::Range<usize>>, radius: u32) {
+fn smear(pixels: &[bool], out: &mut [bool], rows: impl Iterator<Item = Range<usize>>, radius: u32) {
     let mut left: Vec<u32> = Vec::new();
     for row in rows {
         left.resize(row.len(), 0);
@@ -246,12 +366,12 @@ pub struct LabelMap {
 impl LabelMap {
     /// The pixels that carry one label.
     pub fn mask(&self, label: u8) -> Mask {
-        Mask { width: self.width, height: self.height, pixels: self.labels.iter().map(|&l| l == label).collect() }
+        Mask::from_values(self.width, self.height, &self.labels, |l| l == label)
     }
 
     /// The pixels that carry any label but 0.
     pub fn any(&self) -> Mask {
-        Mask { width: self.width, height: self.height, pixels: self.labels.iter().map(|&l| l != 0).collect() }
+        Mask::from_values(self.width, self.height, &self.labels, |l| l != 0)
     }
 
     /// The labels that occur, ascending, without 0.
@@ -323,6 +443,36 @@ mod tests {
                 assert_eq!(mask.eroded(radius), Mask::from_fn(width, height, is_deep), "{width} × {height}, {radius}");
             }
         }
+    }
+
+    #[test]
+    fn windows_grow_and_do_not_show() {
+        use rand::Rng as _;
+        let (width, height) = (37, 23);
+        let mut rng = crate::math::seeded_rng(1, 0);
+        for _ in 0..20 {
+            let mut expected = vec![false; (width * height) as usize];
+            let (mut mask, mut other) = (Mask::empty(width, height), Mask::empty(width, height));
+            for _ in 0..30 {
+                let (x, y, value) = (rng.random_range(0..width), rng.random_range(0..height), rng.random_bool(0.7));
+                let end = rng.random_range(x..=width.min(x + 9));
+                expected[(y * width + x) as usize..(y * width + end) as usize].fill(value);
+                mask.fill(x..end, y, value);
+            }
+            assert_eq!(mask, Mask::from_values(width, height, &expected, |set| set));
+            let bytes: Vec<u8> = expected.iter().map(|set| 255 * u8::from(*set)).collect();
+            assert_eq!(mask.to_bytes(), bytes);
+            assert_eq!(mask.area_px2(), mask.iter().count());
+            mask.iter().for_each(|(x, y)| other.set(x, y));
+            assert_eq!(other, mask);
+            assert_eq!(mask.complement().complement(), mask);
+            let left = Mask::from_fn(width, height, |x, _| x < 9);
+            let common = Mask::from_fn(width, height, |x, y| x < 9 && mask.get(x.into(), y.into()));
+            assert_eq!(mask.intersection_px2(&left), common.area_px2());
+            other.union_with(&left);
+            assert_eq!(other.area_px2(), mask.area_px2() + left.area_px2() - common.area_px2());
+        }
+        assert_eq!(Mask::empty(0, 0).complement(), Mask::full(0, 0));
     }
 
     #[test]

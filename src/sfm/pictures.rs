@@ -2,7 +2,7 @@
 
 use super::{Options, SfmError};
 use crate::camera::Camera;
-use crate::features::FrontEnd;
+use crate::features::{FrontEnd, Picture};
 use crate::image::RgbImage;
 use crate::mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
 use crate::scene::{Frame, Mask, Reconstruction};
@@ -29,7 +29,7 @@ pub fn reconstruct_pictures(
     let mut front_end = FrontEnd::new(&options.front_end, camera);
     for (frame, picture, mask) in pictures {
         let mask = mask.unwrap_or_else(|| Mask::full(picture.width(), picture.height()));
-        front_end.push(&frame, &picture, &mask)?;
+        front_end.push(&frame, &Picture::new(&picture), &mask)?;
     }
     let mut tracks = front_end.finish(seed)?;
     cut_long_tracks(&mut tracks, &[camera], intrinsics, &options.mapper, seed);

@@ -138,5 +138,5 @@ fn moved(
         u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
     };
     let targets = (bounds.y0..bounds.y1).flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)));
-    Region::from_pixels(bounds, &targets.map(from_region).collect::<Vec<bool>>())
+    Region::from_pixels(bounds, targets.map(from_region).collect())
 }

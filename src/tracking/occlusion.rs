@@ -66,13 +66,14 @@ impl Cover {
             if self.may_show_other(object, x, y)
                 && let Some((u, v)) = landing(object, flow, pictures, x, y)
             {
-                marks.set(u - bounds.x0, v - bounds.y0, true);
+                marks.set(u - bounds.x0, v - bounds.y0);
             }
         }
         let marks = marks.dilated(1).eroded(1);
         let radius = (MIN_RADIUS * object.whole.size()).clamp(MIN_RADIUS_PX.0, MIN_RADIUS_PX.1) as u32;
         let sure = marks.eroded(radius).dilated(radius + 1);
-        let within = |mask: &Mask| Region::from_pixels(bounds, mask.pixels());
+        let own = BoundingBox { x0: 0, y0: 0, x1: bounds.width(), y1: bounds.height() };
+        let within = |mask: &Mask| Region::from_pixels(bounds, mask.pixels_in(own));
         let on_it = |region: Region| region.filtered(|x, y| object.whole.contains(x, y));
         let least = MIN_SHARE * object.whole.area() as f64;
         let region = within(&sure).and_then(on_it).filter(|cover| cover.area() as f64 >= least);

@@ -15,36 +15,19 @@ impl Region {
     /// The set pixels of a mask; `None` if there is none.
     pub(super) fn from_mask(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
-        let row = |y: u32| {
-            let start = y as usize * mask.width() as usize;
-            &mask.pixels()[start + bounds.x0 as usize..start + bounds.x1 as usize]
-        };
-        let pixels: Vec<bool> = (bounds.y0..bounds.y1).flat_map(row).copied().collect();
+        let pixels = mask.pixels_in(bounds);
         let area = pixels.iter().filter(|&&p| p).count();
         Some(Self { bounds, pixels, area })
     }
 
     /// The pixels of `bounds` that are set, row-major; shrinks the box to them. `None` if none is set.
-    pub(super) fn from_pixels(bounds: BoundingBox, pixels: &[bool]) -> Option<Self> {
-        let mask = local_mask(bounds, pixels);
-        let inner = mask.bounding_box()?;
-        let mut region = Self::from_mask(&mask)?;
-        region.bounds = BoundingBox {
-            x0: bounds.x0 + inner.x0,
-            y0: bounds.y0 + inner.y0,
-            x1: bounds.x0 + inner.x1,
-            y1: bounds.y0 + inner.y1,
-        };
-        Some(region)
+    pub(super) fn from_pixels(bounds: BoundingBox, pixels: Vec<bool>) -> Option<Self> {
+        Self::from_mask(&Mask::from_window((bounds.x1, bounds.y1), bounds, pixels))
     }
 
     /// The region in a frame of the given size.
     pub(super) fn to_mask(&self, width: u32, height: u32) -> Mask {
-        let mut mask = Mask::empty(width, height);
-        for (x, y) in self.iter() {
-            mask.set(x, y, true);
-        }
-        mask
+        Mask::from_window((width, height), self.bounds, self.pixels.clone())
     }
 
     pub(super) fn bounds(&self) -> BoundingBox {
@@ -132,7 +115,7 @@ impl Region {
             .flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)))
             .map(|(x, y)| source(x, y))
             .collect();
-        Self::from_pixels(bounds, &pixels)
+        Self::from_pixels(bounds, pixels)
     }
 
     /// The pixels for which `keep(x, y)` holds; `None` if there is none.
@@ -140,15 +123,8 @@ impl Region {
         let (b, width) = (self.bounds, self.bounds.width());
         let kept = |(i, &set): (usize, &bool)| set && keep(b.x0 + i as u32 % width, b.y0 + i as u32 / width);
         let pixels: Vec<bool> = self.pixels.iter().enumerate().map(kept).collect();
-        Self::from_pixels(b, &pixels)
+        Self::from_pixels(b, pixels)
     }
-}
-
-/// The pixels of a box as a mask of the box's own size.
-fn local_mask(bounds: BoundingBox, pixels: &[bool]) -> Mask {
-    let mut mask = Mask::empty(bounds.width(), bounds.height());
-    mask.pixels_mut().copy_from_slice(pixels);
-    mask
 }
 
 #[cfg(test)]

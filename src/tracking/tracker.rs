@@ -183,7 +183,7 @@ impl Tracker {
         let pictures = self.last_picture.as_ref().map(|before| Pictures { before, now: image });
         let mut occupied = Mask::empty(size.0, size.1);
         for (x, y) in self.tracks.iter().flat_map(|track| track.region.iter()) {
-            occupied.set(x, y, true);
+            occupied.set(x, y);
         }
         let predict_one = |track: &Track| {
             let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));

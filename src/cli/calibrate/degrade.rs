@@ -147,8 +147,9 @@ impl Maker<'_> {
             _ if is_hidden => Mask::empty(map.width, map.height),
             _ => return resized(&map, self.size),
         };
-        for (label, (was, is)) in map.labels.iter_mut().zip(before.pixels().iter().zip(after.pixels())) {
-            match (was, is) {
+        let pixels = (0..map.height).flat_map(|y| (0..map.width).map(move |x| (i64::from(x), i64::from(y))));
+        for (label, (x, y)) in map.labels.iter_mut().zip(pixels) {
+            match (before.get(x, y), after.get(x, y)) {
                 (true, false) => *label = 0,
                 (false, true) if *label == 0 => *label = TARGET_LABEL,
                 _ => {}

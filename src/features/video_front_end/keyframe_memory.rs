@@ -7,6 +7,7 @@
 //! that was out of the picture, at a place where the camera comes back.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
 use nalgebra::Point2;
 
@@ -18,7 +19,7 @@ use super::{FeatureError, VideoOptions};
 use crate::camera::Camera;
 use crate::features::matching::{MatchOptions, match_features, match_strongest};
 use crate::features::rootsift::Features;
-use crate::image::GrayImage;
+use crate::image::{GrayImage, Pyramid};
 use crate::scene::Mask;
 
 /// The link to the view before is broken, and that to the last key view weak, below these shares of common points.
@@ -54,7 +55,7 @@ fn shows_much(num_points: usize, most: usize) -> bool {
 /// The view before, in case that the next one shows hardly any of its points.
 struct Last {
     view: usize,
-    gray: GrayImage,
+    pyramid: Arc<Pyramid>,
     mask: Mask,
     points: Vec<(usize, Point2<f32>)>,
 }
@@ -125,7 +126,8 @@ impl Memory {
             return Ok(Vec::new());
         }
         if let Some(last) = self.last.take().filter(|last| is_broken && !self.is_key(last.view)) {
-            self.keep(last.view, AffineViews::new(&last.gray, &last.mask)?, &last.gray, &last.points);
+            let gray = last.pyramid.picture();
+            self.keep(last.view, AffineViews::new(gray, &last.mask)?, gray, &last.points);
         }
         let mut looks = AffineViews::new(gray, mask)?;
         let chosen = self.chosen(view, &looks.plain.features, &alive);
@@ -176,12 +178,12 @@ impl Memory {
     }
 
     /// To be called with all points of a view, those that are new among them.
-    pub fn remember(&mut self, view: usize, gray: GrayImage, mask: Mask, live: &[Live]) {
+    pub fn remember(&mut self, view: usize, pyramid: Arc<Pyramid>, mask: Mask, live: &[Live]) {
         let points: Vec<_> = live.iter().map(|point| (point.track, point.warp.center)).collect();
         if let Some(looks) = self.described.take() {
-            self.keep(view, looks, &gray, &points);
+            self.keep(view, looks, pyramid.picture(), &points);
         }
-        self.last = Some(Last { view, gray, mask, points });
+        self.last = Some(Last { view, pyramid, mask, points });
     }
 
     fn is_key(&self, view: usize) -> bool {

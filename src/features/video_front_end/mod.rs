@@ -21,6 +21,8 @@ mod search_range;
 mod tests;
 mod tracked_point;
 
+use std::sync::Arc;
+
 use nalgebra::{Matrix2, Point2, Vector2};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -28,11 +30,12 @@ use serde::{Deserialize, Serialize};
 use super::Target;
 use super::matching::MatchOptions;
 use super::patch::{Patch, Warp};
+use super::picture::Picture;
 use super::tracks::{Feature, Track, TrackTable, View};
 use crate::camera::Camera;
 use crate::checks::{Checked, under, within};
 use crate::features::FeatureError;
-use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage, gray_from_rgb};
+use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage};
 use crate::scene::{BoundingBox, Frame, Mask};
 use keyframe_memory::Memory;
 use search_range::{Extent, Reach};
@@ -144,7 +147,7 @@ impl VideoOptions {
 /// Follows points frame by frame.
 pub struct VideoFrontEnd {
     options: VideoOptions,
-    previous: Option<Pyramid>,
+    previous: Option<Arc<Pyramid>>,
     /// Where the target was in the last frame.
     extent: Option<Extent>,
     /// Search range round a point in the current frame, and displacement of the target to it.
@@ -175,22 +178,21 @@ impl VideoFrontEnd {
     ///
     /// # Errors
     /// [`FeatureError::OpenCv`] if OpenCV fails.
-    pub fn push(&mut self, frame: &Frame, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
-        let gray = gray_from_rgb(image)?;
+    pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
         let extent = Extent::of(mask);
         self.reach = Reach::new(&self.options, extent);
         self.shift = super::video_front_end::search_range::shift(&self.options, self.extent, extent);
         self.extent = extent;
         let mask = mask.eroded(self.reach.border_px);
-        let pyramid = Pyramid::new(gray, self.options.pyramid_levels.max(0) as usize)?;
+        let pyramid = picture.pyramid(self.options.pyramid_levels.max(0) as usize)?;
         if let Some(previous) = self.previous.take() {
             self.follow(&previous, &pyramid, &mask);
         }
         let gray = pyramid.picture();
         self.find_again(gray, &mask)?;
         self.find_new(gray, &mask)?;
-        self.memory.remember(self.table.views.len(), gray.clone(), mask, &self.live);
-        self.record(frame, image);
+        self.memory.remember(self.table.views.len(), pyramid.clone(), mask, &self.live);
+        self.record(frame, picture.rgb());
         self.previous = Some(pyramid);
         Ok(())
     }
@@ -282,8 +284,8 @@ impl VideoFrontEnd {
         let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());
         let y1 = bounds.y1.saturating_add(MARGIN_PX).min(gray.height());
         let crop = ::image::imageops::crop_imm(gray, x0, y0, x1 - x0, y1 - y0).to_image();
-        let (pixels, width) = (free.pixels(), free.width() as usize);
-        let is_free = |x: usize, y: usize| pixels[(y + y0 as usize) * width + x + x0 as usize];
+        let (pixels, width) = (free.pixels_in(BoundingBox { x0, y0, x1, y1 }), crop.width() as usize);
+        let is_free = |x: usize, y: usize| pixels[y * width + x];
         let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
         let found = corners::strongest(&CornerStrength::of(&crop), is_free, wanted, quality, apart);
         found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
@@ -318,10 +320,7 @@ fn clear_disc(mask: &mut Mask, center: Point2<f32>, reach: i64) {
     let (cx, cy) = (center.x as i64, center.y as i64);
     for y in (cy - reach).max(0)..=(cy + reach).min(i64::from(mask.height()) - 1) {
         let half = (reach * reach - (y - cy).pow(2)).isqrt();
-        let row = y as usize * mask.width() as usize;
-        let (first, end) = ((cx - half).max(0) as usize, (cx + half + 1).clamp(0, i64::from(mask.width())) as usize);
-        if first < end {
-            mask.pixels_mut()[row + first..row + end].fill(false);
-        }
+        let clipped = |x: i64| x.clamp(0, i64::from(mask.width())) as u32;
+        mask.fill(clipped(cx - half)..clipped(cx + half + 1), y as u32, false);
     }
 }

@@ -33,15 +33,13 @@ pub struct Extent {
 impl Extent {
     /// `None` for an empty mask.
     pub fn of(mask: &Mask) -> Option<Self> {
-        let bounds = mask.bounding_box()?;
         let (mut count, mut sum) = (0u64, [0u64; 2]);
-        for y in bounds.y0..bounds.y1 {
-            let row = y as usize * mask.width() as usize;
-            let pixels = &mask.pixels()[row + bounds.x0 as usize..row + bounds.x1 as usize];
-            for (x, _) in (bounds.x0..).zip(pixels).filter(|(_, is_set)| **is_set) {
-                count += 1;
-                sum = [sum[0] + u64::from(x), sum[1] + u64::from(y)];
-            }
+        for (x, y) in mask.iter() {
+            count += 1;
+            sum = [sum[0] + u64::from(x), sum[1] + u64::from(y)];
+        }
+        if count == 0 {
+            return None;
         }
         let middle = sum.map(|sum| (sum as f64 / count as f64 + 0.5) as f32);
         Some(Self { middle: middle.into(), side_px: (count as f64).sqrt() })

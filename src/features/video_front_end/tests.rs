@@ -45,7 +45,7 @@ fn followed_while(
         let image = RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| ::image::Rgb([window.get_pixel(x, y).0[0]; 3]));
         let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
         let mask = Mask::from_fn(SIZE[0], SIZE[1], |_, _| hidden != Some(k));
-        front_end.push(&frame, &image, &mask).unwrap();
+        front_end.push(&frame, &Picture::new(&image), &mask).unwrap();
         then(&mut front_end);
     }
     front_end.finish()

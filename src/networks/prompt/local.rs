@@ -20,13 +20,7 @@ impl Local {
     /// The same pixels in the whole frame.
     pub(super) fn in_frame(&self, (width, height): (u32, u32)) -> Mask {
         let mut all = Mask::empty(width, height);
-        for y in 0..self.window.height {
-            for x in 0..self.window.width {
-                if self.mask.get(i64::from(x), i64::from(y)) {
-                    all.set(self.window.x0 + x, self.window.y0 + y, true);
-                }
-            }
-        }
+        self.mask.iter().for_each(|(x, y)| all.set(self.window.x0 + x, self.window.y0 + y));
         all
     }
 }

@@ -5,15 +5,17 @@ use crate::scene::Mask;
 /// The largest part of a mask whose pixels touch at their sides, with its holes filled; empty if the mask is. Of parts
 /// of equal size the first one, row by row.
 pub(super) fn one_part(mask: &Mask) -> Mask {
-    let parts = parts(mask.pixels(), mask.width() as usize);
+    let size = (mask.width(), mask.height());
+    let Some(bounds) = mask.bounding_box() else { return Mask::empty(size.0, size.1) };
+    let (pixels, width) = (mask.pixels_in(bounds), bounds.width() as usize);
+    let parts = parts(&pixels, width);
     let largest = parts.iter().reduce(|best, part| if part.len() > best.len() { part } else { best });
-    let mut inside = vec![false; mask.pixels().len()];
+    let mut inside = vec![false; pixels.len()];
     for &pixel in largest.map_or(&[][..], Vec::as_slice) {
         inside[pixel] = true;
     }
-    fill_holes(&mut inside, mask.width() as usize);
-    let (width, height) = (mask.width(), mask.height());
-    Mask::from_fn(width, height, |x, y| inside[y as usize * width as usize + x as usize])
+    fill_holes(&mut inside, width);
+    Mask::from_window(size, bounds, inside)
 }
 
 /// Sets what is not set and not connected, side by side, with the border.

@@ -73,7 +73,7 @@ pub(super) fn mask_in(corners: [f32; 4], frame: (u32, u32), is_object: impl Fn(f
     for y in inside(y0, y1, frame.1) {
         for x in inside(x0, x1, frame.0) {
             if is_object(x as f32 + 0.5, y as f32 + 0.5) {
-                mask.set(x, y, true);
+                mask.set(x, y);
             }
         }
     }

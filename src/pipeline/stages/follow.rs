@@ -6,7 +6,7 @@ use serde_json::{Value, json};
 
 use super::features::{self, TrackStore};
 use super::track;
-use crate::features::{FrontEnd, TrackTable};
+use crate::features::{FrontEnd, Picture, TrackTable};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{PipelineError, Stage};
@@ -43,6 +43,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let visible: std::collections::BTreeSet<_> = visible.map(|frame| frame.id).collect();
     let frames = (run.source.frames_at(visible.clone())?, visible.len());
     images::for_each(run, Stage::Follow, frames, &mut outcome, |frame, picture| {
+        let picture = Picture::new(&picture);
         for (id, mask) in track::masks_of(run, &objects, &frame)? {
             if let Some(front_end) = front_ends.get_mut(&id) {
                 front_end.push(&frame, &picture, &mask)?;

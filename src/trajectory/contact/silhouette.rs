@@ -21,19 +21,13 @@ impl Silhouette {
     pub fn of(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
         let cut = bounds.touches_border(mask.width(), mask.height());
-        let [left, top, right, bottom] = [bounds.x0, bounds.y0, bounds.x1, bounds.y1].map(|at| at as usize);
-        let rows = || {
-            let rows = mask.pixels().chunks_exact(mask.width() as usize).enumerate();
-            rows.take(bottom).skip(top).map(|(y, row)| (y, &row[left..right]))
-        };
-        let area_px2: usize = rows().map(|(_, row)| row.iter().filter(|inside| **inside).count()).sum();
-        if cut || area_px2 < Self::MIN_AREA_PX2 {
+        if cut || mask.area_px2() < Self::MIN_AREA_PX2 {
             return None;
         }
-        let ends = rows().filter_map(|(y, row)| {
+        let ends = mask.rows().filter_map(|(y, left, row)| {
             let first = row.iter().position(|inside| *inside)?;
             let last = row.iter().rposition(|inside| *inside)?;
-            Some([first, last].map(|x| Point2::new((left + x) as f64 + 0.5, y as f64 + 0.5)))
+            Some([first, last].map(|x| Point2::new(f64::from(left) + x as f64 + 0.5, f64::from(y) + 0.5)))
         });
         Some(Self { hull: convex_hull(ends.flatten().collect()) })
     }

@@ -20,7 +20,7 @@ fn outlines_are_hulls_of_whole_masks() {
     assert_eq!(found.hull.len(), 4);
     assert!(corners.iter().all(|corner| found.hull.contains(corner)), "{found:?}");
     // A dent does not show.
-    mask.set(15, 6, false);
+    mask.fill(15..16, 6, false);
     assert_eq!(Silhouette::of(&mask), Some(found));
     for cut in [[0, 6, 25, 16], [5, 0, 25, 16], [5, 6, 40, 16], [5, 6, 25, 30], [5, 6, 9, 9]] {
         assert_eq!(Silhouette::of(&rectangle(40, 30, cut)), None, "{cut:?}");

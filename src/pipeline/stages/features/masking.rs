@@ -81,7 +81,7 @@ fn fill(mask: &mut Mask, found: &BoxDetection) {
     let (columns, rows) =
         (rect.x0.floor() as u32..rect.x1.ceil() as u32, rect.y0.floor() as u32..rect.y1.ceil() as u32);
     for y in rows {
-        columns.clone().for_each(|x| mask.set(x, y, true));
+        mask.fill(columns.clone(), y, true);
     }
 }
 

@@ -8,7 +8,7 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::motion::point_tracks::{self, Follower};
-use crate::features::{FrontEnd, TrackTable};
+use crate::features::{FrontEnd, Picture, TrackTable};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{cameras, images, order, telemetry};
@@ -99,7 +99,7 @@ fn follow_background(
             if let Some(points) = &mut points {
                 points.push(&frame, &picture)?;
             }
-            Ok(background.push_of(camera, &frame, &picture, &mask)?)
+            Ok(background.push_of(camera, &frame, &Picture::new(&picture), &mask)?)
         },
     )?;
     if num_decoded == 0 {

@@ -112,14 +112,17 @@ fn bytes_of(path: &Path) -> Result<Option<Vec<u8>>, PipelineError> {
 
 /// A mask as run lengths, clear pixels first.
 pub(in crate::pipeline) fn runs_of_mask(mask: &Mask) -> Vec<u32> {
-    let mut runs = vec![0];
-    let mut value = false;
-    for &pixel in mask.pixels() {
-        if pixel != value {
-            runs.push(0);
-            value = pixel;
+    let (mut runs, mut end) = (Vec::new(), 0);
+    for at in mask.iter().map(|(x, y)| y * mask.width() + x) {
+        match runs.last_mut() {
+            Some(run) if at == end => *run += 1,
+            _ => runs.extend([at - end, 1]),
         }
-        *runs.last_mut().expect("starts with one run") += 1;
+        end = at + 1;
+    }
+    let total = mask.width() * mask.height();
+    if end < total || runs.is_empty() {
+        runs.push(total - end);
     }
     runs
 }
@@ -131,11 +134,16 @@ pub(in crate::pipeline) fn mask_of_runs(runs: &[u32], (width, height): (u32, u32
         return None;
     }
     let mut mask = Mask::empty(width, height);
-    let (mut at, mut value) = (0, false);
-    for &run in runs {
-        mask.pixels_mut()[at..at + run as usize].fill(value);
-        at += run as usize;
-        value = !value;
+    let mut at = 0;
+    for (k, &run) in runs.iter().enumerate() {
+        let end = at + run;
+        while k % 2 == 1 && at < end {
+            let (x, y) = (at % width, at / width);
+            let part = (end - at).min(width - x);
+            mask.fill(x..x + part, y, true);
+            at += part;
+        }
+        at = end;
     }
     Some(mask)
 }
