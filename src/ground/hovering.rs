@@ -41,6 +41,8 @@ pub struct HoveringGround {
     pub pitch: f64,
     /// Other sources of the normal.
     pub sources: Vec<StatedTilt>,
+    /// The tilt by the sizes of vehicles alone, where these determine it.
+    pub by_vehicles: Option<StatedTilt>,
     /// Sources that contradict all others.
     pub contradictions: Vec<TiltContradiction>,
     /// Covariance of the normal, without that of the focal length.
@@ -171,6 +173,13 @@ pub fn hovering_ground(
         (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
     };
     let contradictions = deviations.iter().filter_map(contradiction).collect();
+    let by_vehicles =
+        solved(&[]).filter(|_| !problem.vehicles.is_empty()).and_then(|(angles, covariance, by_focal)| {
+            let std = [0, 1].map(|axis| covariance[(axis, axis)].sqrt().hypot(by_focal[axis]));
+            let source = "sizes of vehicles".to_owned();
+            let tilt = StatedTilt { source, angles: angles.into(), std: std.map(Some), kind: TiltKind::Ground };
+            (std[0].hypot(std[1]) <= MAX_TILT_STD).then_some(tilt)
+        });
     let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.known_angles());
     // Sources that disagree know less than they state (Birge's ratio); a map is the ground as it is.
     let squares: Vec<f64> = deviations.iter().flat_map(|(_, off)| off).map(|(_, off)| off * off).collect();
@@ -195,6 +204,7 @@ pub fn hovering_ground(
         num_vehicles: problem.vehicles.len(),
         pitch: angles.x,
         sources: stated,
+        by_vehicles,
         contradictions,
         normal_covariance,
         normal_by_focal: 0.5 * (normal(angles + by_focal) - normal(angles - by_focal)),
@@ -601,7 +611,10 @@ mod tests {
         let stated = hovering_ground(&background, &[], pitch(0.6), 0.0).unwrap();
         assert!(stated.normal_in_world.angle(&up) < 1e-3 && stated.tilt_std < 0.04, "{stated:?}");
         assert_eq!(hovering_ground(&background, &[], Vec::new(), 0.0), None);
+        assert_eq!(stated.by_vehicles, None);
         let both = hovering_ground(&background, &vehicles, pitch(0.6), 0.0).unwrap();
+        let alone = hovering_ground(&background, &vehicles, Vec::new(), 0.0).unwrap();
+        assert_eq!(both.by_vehicles.as_ref().map(|tilt| tilt.angles[0]), Some(alone.pitch));
         assert!(both.tilt_std <= stated.tilt_std && both.num_vehicles > 3 && both.contradictions.is_empty());
         let wrong = hovering_ground(&background, &vehicles, pitch(1.2), 0.0).unwrap();
         assert!(wrong.contradictions[0].deviations > 3.0 && wrong.contradictions[0].angle > 0.3, "{wrong:?}");

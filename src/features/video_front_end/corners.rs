@@ -1,13 +1,14 @@
 //! The places of a picture that are worth following.
 
 use nalgebra::Point2;
+use pulp::{Arch, Simd, WithSimd};
 
 use crate::image::CornerStrength;
 
 /// The strongest corners, the strongest first: pixels that no neighbour exceeds, at some distance from one another (J.
 /// Shi, C. Tomasi, *Good Features to Track*, CVPR 1994). Pixels at the border of the picture are none.
 ///
-/// * `is_free` – whether a pixel may be one.
+/// * `free` – pixels that may be one, row-major.
 /// * `wanted` – how many at the most.
 /// * `quality` – smallest strength relative to the strongest pixel that may be one.
 /// * `min_distance_px` – smallest distance of two.
@@ -15,27 +16,13 @@ use crate::image::CornerStrength;
 /// Positions are centres of pixels, the first one at (0.5, 0.5).
 pub fn strongest(
     strength: &CornerStrength,
-    is_free: impl Fn(usize, usize) -> bool,
+    free: &[bool],
     wanted: usize,
     quality: f64,
     min_distance_px: f64,
 ) -> Vec<Point2<f32>> {
     let (cols, rows) = (strength.num_cols(), strength.num_rows());
-    let (quality, mut strongest) = (quality as f32, 0.0f32);
-    let mut peaks: Vec<(f32, u32, u32)> = Vec::new();
-    for y in 0..rows {
-        let here = strength.row(y);
-        let inside = y > 0 && y + 1 < rows;
-        for (x, value) in here.iter().enumerate() {
-            if *value > quality * strongest && is_free(x, y) {
-                strongest = strongest.max(*value);
-                if inside && x > 0 && x + 1 < cols && is_peak(strength, x, y) {
-                    peaks.push((*value, x as u32, y as u32));
-                }
-            }
-        }
-    }
-    peaks.retain(|(value, ..)| *value > quality * strongest);
+    let mut peaks = Arch::new().dispatch(Peaks { strength, free, quality: quality as f32 });
     peaks.sort_unstable_by(|a, b| b.0.total_cmp(&a.0).then((a.2, a.1).cmp(&(b.2, b.1))));
     let mut kept = Spread::new(cols, rows, min_distance_px);
     for (_, x, y) in peaks {
@@ -47,10 +34,63 @@ pub fn strongest(
     kept.corners.into_iter().map(|[x, y]| Point2::new(x as f32 + 0.5, y as f32 + 0.5)).collect()
 }
 
-/// Returns true if none of the eight neighbors is stronger.
-fn is_peak(strength: &CornerStrength, x: usize, y: usize) -> bool {
-    let value = strength.row(y)[x];
-    (y - 1..=y + 1).all(|v| strength.row(v)[x - 1..=x + 1].iter().all(|other| *other <= value))
+/// Search for the free pixels that none of their eight neighbors exceeds, with whatever vector instructions the
+/// processor has. Gives strength, column and row.
+struct Peaks<'a> {
+    strength: &'a CornerStrength,
+    free: &'a [bool],
+    quality: f32,
+}
+
+impl WithSimd for Peaks<'_> {
+    type Output = Vec<(f32, u32, u32)>;
+
+    #[inline(always)]
+    fn with_simd<S: Simd>(self, _: S) -> Self::Output {
+        let (cols, rows) = (self.strength.num_cols(), self.strength.num_rows());
+        let mut peaks = Vec::new();
+        if cols < 3 || rows < 3 {
+            return peaks;
+        }
+        let row = |y: usize| (self.strength.row(y), &self.free[y * cols..(y + 1) * cols]);
+        let threshold = self.quality * (0..rows).map(row).map(strongest_free).fold(0.0, f32::max);
+        let (mut highest, mut is_peak) = (vec![0.0f32; cols], vec![false; cols - 2]);
+        for y in 1..rows - 1 {
+            let ((above, _), (here, free), (below, _)) = (row(y - 1), row(y), row(y + 1));
+            for (((highest, a), b), c) in highest.iter_mut().zip(above).zip(here).zip(below) {
+                *highest = a.max(*b).max(*c);
+            }
+            let inner = here[1..].iter().zip(&free[1..]);
+            for ((is_peak, (value, is_free)), around) in is_peak.iter_mut().zip(inner).zip(highest.windows(3)) {
+                let exceeds = (*value >= around[0]) & (*value >= around[1]) & (*value >= around[2]);
+                *is_peak = *is_free & (*value > threshold) & exceeds;
+            }
+            let found = (1..).zip(&is_peak).filter(|(_, is_peak)| **is_peak);
+            peaks.extend(found.map(|(x, _)| (here[x], x as u32, y as u32)));
+        }
+        peaks
+    }
+}
+
+/// The largest strength of the free pixels of a row.
+#[inline(always)]
+fn strongest_free((values, free): (&[f32], &[bool])) -> f32 {
+    /// Values that are compared at a time.
+    const LANES: usize = 16;
+    let larger = |most: f32, (value, is_free): (&f32, &bool)| {
+        let value = if *is_free { *value } else { 0.0 };
+        if value > most { value } else { most }
+    };
+    let (values, last) = values.as_chunks::<LANES>();
+    let (free, last_free) = free.as_chunks::<LANES>();
+    let mut most = [0.0f32; LANES];
+    for (values, free) in values.iter().zip(free) {
+        for (most, one) in most.iter_mut().zip(values.iter().zip(free)) {
+            *most = larger(*most, one);
+        }
+    }
+    let of_rest = last.iter().zip(last_free).fold(0.0, larger);
+    most.into_iter().fold(of_rest, f32::max)
 }
 
 /// Corners that keep a distance from one another.
@@ -118,13 +158,13 @@ mod tests {
         let cells = GrayImage::from_fn(44, 30, |_, _| ::image::Luma([rng.random_range(0..255)]));
         let image = ::image::imageops::resize(&cells, width, height, ::image::imageops::FilterType::Triangle);
         let free = GrayImage::from_fn(width, height, |x, y| ::image::Luma([u8::from(x + y > 90) * 255]));
-        let is_free = |x: usize, y: usize| free.as_raw()[y * width as usize + x] > 0;
+        let is_free: Vec<bool> = free.as_raw().iter().map(|value| *value > 0).collect();
         let (picture, mask) = (borrowed_gray(&image).unwrap(), borrowed_gray(&free).unwrap());
         for (wanted, distance) in [(400, 4.0), (60, 12.0), (500, 1.0)] {
             let mut expected = Vector::<Point2f>::new();
             let of_opencv = opencv::imgproc::good_features_to_track;
             of_opencv(&picture, &mut expected, wanted, 0.01, distance, &mask, 3, false, 0.04).unwrap();
-            let found = strongest(&CornerStrength::of(&image), is_free, wanted as usize, 0.01, distance);
+            let found = strongest(&CornerStrength::of(&image), &is_free, wanted as usize, 0.01, distance);
             let expected: Vec<_> = expected.iter().map(|p| Point2::new(p.x + 0.5, p.y + 0.5)).collect();
             // Those that are equally strong may come in another order, and one that is not the strongest by rounding.
             let common = found.iter().filter(|p| expected.contains(p)).count();
@@ -138,9 +178,9 @@ mod tests {
     #[test]
     fn nothing_is_free_and_nothing_is_found() {
         let plain = CornerStrength::of(&GrayImage::from_pixel(30, 20, ::image::Luma([80])));
-        assert!(strongest(&plain, |_, _| true, 10, 0.01, 3.0).is_empty());
+        assert!(strongest(&plain, &[true; 600], 10, 0.01, 3.0).is_empty());
         let noise = CornerStrength::of(&GrayImage::from_fn(30, 20, |x, y| ::image::Luma([(x * y * 37 % 251) as u8])));
-        assert!(strongest(&noise, |_, _| false, 10, 0.01, 3.0).is_empty());
-        assert!(strongest(&CornerStrength::default(), |_, _| true, 10, 0.01, 3.0).is_empty());
+        assert!(strongest(&noise, &[false; 600], 10, 0.01, 3.0).is_empty());
+        assert!(strongest(&CornerStrength::default(), &[], 10, 0.01, 3.0).is_empty());
     }
 }

@@ -284,10 +284,9 @@ impl VideoFrontEnd {
         let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());
         let y1 = bounds.y1.saturating_add(MARGIN_PX).min(gray.height());
         let crop = ::image::imageops::crop_imm(gray, x0, y0, x1 - x0, y1 - y0).to_image();
-        let (pixels, width) = (free.pixels_in(BoundingBox { x0, y0, x1, y1 }), crop.width() as usize);
-        let is_free = |x: usize, y: usize| pixels[y * width + x];
+        let free = free.pixels_in(BoundingBox { x0, y0, x1, y1 });
         let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
-        let found = corners::strongest(&CornerStrength::of(&crop), is_free, wanted, quality, apart);
+        let found = corners::strongest(&CornerStrength::of(&crop), &free, wanted, quality, apart);
         found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
     }
 

@@ -79,6 +79,7 @@ pub(super) fn ground_of_map(dominant: &DominantPlane, model: &Reconstruction) ->
         tilt_std,
         num_vehicles: 0,
         pitch: (-dominant.normal.dot(&axis)).asin(),
+        by_vehicles: None,
         sources: Vec::new(),
         contradictions: Vec::new(),
         normal_covariance: level * tilt_std.powi(2),

@@ -91,7 +91,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
                 "pitch_deg": ground.pitch.to_degrees(),
                 "tilt_std_deg": ground.total_tilt_std().to_degrees(),
                 "num_vehicles": ground.num_vehicles,
-                "sources": ground.sources.iter().map(of_source).collect::<Vec<_>>(),
+                "sources": ground.sources.iter().chain(&ground.by_vehicles).map(of_source).collect::<Vec<_>>(),
             }),
         );
     }
