@@ -140,8 +140,8 @@ pub(super) struct JobArgs {
     /// Mean height of the camera above ground, meters: 1.45±0.05 (standard deviation)
     #[arg(long, value_name = "METERS[±STD]", help_heading = "Meters")]
     pub(super) camera_height: Option<Measured>,
-    /// Inclination of a hovering camera below the horizon in the first frame, degrees: 45±1 [default: from the sizes of
-    /// vehicles]
+    /// Inclination of a hovering camera below the horizon in the first frame, degrees: 45±1 [default: from straight
+    /// lines, telemetry, map points and the sizes of vehicles]
     #[arg(long, value_name = "DEGREES[±STD]", help_heading = "Meters")]
     pub(super) camera_pitch: Option<Measured>,
     /// Points of level ground for a hovering camera: GeoJSON points with properties x, y (pixel) and frame (index,

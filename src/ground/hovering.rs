@@ -147,68 +147,125 @@ pub fn hovering_ground(
     stated: Vec<StatedTilt>,
     focal_std: f64,
 ) -> Option<HoveringGround> {
-    let first = background.images.values().next()?;
-    let world_from_cam = first.cam_from_world.rotation.inverse();
-    let problem = |zoom: f64| Problem { vehicles: sights(background, vehicles, zoom), world_from_cam };
-    let (problem, zoomed) = (problem(1.0), [-focal_std, focal_std].map(|log_focal| problem(log_focal.exp())));
-    // The focal length is not adjusted: its share is what the angles would be with another one.
-    let solved = |stated: &[&StatedTilt]| {
-        let (angles, covariance) = problem.minimum(stated, None)?;
-        let [shorter, longer] = [&zoomed[0], &zoomed[1]].map(|zoomed| zoomed.minimum(stated, Some(angles)));
-        Some((angles, covariance, 0.5 * (longer?.0 - shorter?.0)))
-    };
+    let solver = TiltSolver::new(background, vehicles, focal_std)?;
     let all: Vec<&StatedTilt> = stated.iter().collect();
-    let against_others = |k: usize| {
-        let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
-        let (angles, covariance, by_focal) = solved(&others)?;
-        let others_std = |axis: usize| covariance[(axis, axis)].sqrt().hypot(by_focal[axis]);
-        let off = |(axis, off, std): (usize, f64, f64)| (off, off / std.hypot(others_std(axis)));
-        Some((k, all[k].differences(angles).map(off).collect::<Vec<_>>()))
-    };
-    let deviations: Vec<(usize, Vec<(f64, f64)>)> = (0..all.len()).filter_map(against_others).collect();
-    let contradiction = |(k, off): &(usize, Vec<(f64, f64)>)| {
-        let deviations = off.iter().map(|(_, deviations)| deviations.abs()).fold(0.0, f64::max);
-        let angle = off.iter().map(|(off, _)| *off).fold(0.0, f64::hypot);
-        let source = all[*k].source.clone();
-        (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
-    };
-    let contradictions = deviations.iter().filter_map(contradiction).collect();
-    let by_vehicles =
-        solved(&[]).filter(|_| !problem.vehicles.is_empty()).and_then(|(angles, covariance, by_focal)| {
-            let std = [0, 1].map(|axis| covariance[(axis, axis)].sqrt().hypot(by_focal[axis]));
-            let source = "sizes of vehicles".to_owned();
-            let tilt = StatedTilt { source, angles: angles.into(), std: std.map(Some), kind: TiltKind::Ground };
-            (std[0].hypot(std[1]) <= MAX_TILT_STD).then_some(tilt)
-        });
+    let differences = solver.differences(&all);
     let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.known_angles());
-    // Sources that disagree know less than they state (Birge's ratio); a map is the ground as it is.
-    let squares: Vec<f64> = deviations.iter().flat_map(|(_, off)| off).map(|(_, off)| off * off).collect();
-    let disagreement = (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt();
-    let (disagreement, (angles, covariance, by_focal)) = match of_map {
-        Some((angles, covariance)) => (1.0, (angles, covariance, Vector2::zeros())),
-        None => (disagreement.max(1.0), solved(&all)?),
+    // A map is the ground as it is, whatever other sources say.
+    let (disagreement, tilt) = match of_map {
+        Some((angles, covariance)) => (1.0, Tilt { angles, covariance, by_focal: Vector2::zeros() }),
+        None => (disagreement(&differences), solver.tilt(&all)?),
     };
-    let tilt_std = covariance.trace().sqrt();
-    let normal = |angles: Vector2<f64>| world_from_cam * up_in_cam(angles);
-    let normal_in_world = normal(angles);
+    let tilt_std = tilt.covariance.trace().sqrt();
+    let normal = |angles: Vector2<f64>| solver.problem.normal(angles);
+    let normal_in_world = normal(tilt.angles);
     let by_angle = [Vector2::x(), Vector2::y()].map(|axis| {
         const STEP: f64 = 1e-4;
-        (normal(angles + axis * STEP) - normal(angles - axis * STEP)) / (2.0 * STEP)
+        (normal(tilt.angles + axis * STEP) - normal(tilt.angles - axis * STEP)) / (2.0 * STEP)
     });
     let by_angles = Matrix3x2::from_columns(&by_angle);
-    let normal_covariance = by_angles * covariance * by_angles.transpose() * disagreement.powi(2);
+    let by_vehicles = solver.by_vehicles();
     (tilt_std <= MAX_TILT_STD).then(|| HoveringGround {
         normal_in_world,
         point_in_world: Point3::from(-normal_in_world),
         tilt_std: disagreement * tilt_std,
-        num_vehicles: problem.vehicles.len(),
-        pitch: angles.x,
-        sources: stated,
+        num_vehicles: solver.problem.vehicles.len(),
+        pitch: tilt.angles.x,
         by_vehicles,
-        contradictions,
-        normal_covariance,
-        normal_by_focal: 0.5 * (normal(angles + by_focal) - normal(angles - by_focal)),
+        contradictions: differences.iter().filter_map(Difference::contradiction).collect(),
+        normal_covariance: by_angles * tilt.covariance * by_angles.transpose() * disagreement.powi(2),
+        normal_by_focal: 0.5 * (normal(tilt.angles + tilt.by_focal) - normal(tilt.angles - tilt.by_focal)),
+        sources: stated,
     })
+}
+
+/// Inclination and tilt that explain vehicles and sources.
+struct Tilt {
+    angles: Vector2<f64>,
+    covariance: Matrix2<f64>,
+    /// Change by one standard deviation of the focal length.
+    by_focal: Vector2<f64>,
+}
+
+impl Tilt {
+    /// Standard deviations, with that of the focal length.
+    fn std(&self) -> [f64; 2] {
+        [0, 1].map(|axis| self.covariance[(axis, axis)].sqrt().hypot(self.by_focal[axis]))
+    }
+}
+
+/// A source against all others.
+struct Difference {
+    source: String,
+    /// Of each stated angle: from the one by the others, and in standard deviations of both.
+    angles: Vec<(f64, f64)>,
+}
+
+impl Difference {
+    fn contradiction(&self) -> Option<TiltContradiction> {
+        let deviations = self.angles.iter().map(|(_, deviations)| deviations.abs()).fold(0.0, f64::max);
+        let angle = self.angles.iter().map(|(off, _)| *off).fold(0.0, f64::hypot);
+        let source = self.source.clone();
+        (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
+    }
+}
+
+/// Factor by which sources that disagree know less than they state (Birge's ratio), at least 1.
+fn disagreement(differences: &[Difference]) -> f64 {
+    let squares: Vec<f64> = differences.iter().flat_map(|one| &one.angles).map(|(_, off)| off * off).collect();
+    (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt().max(1.0)
+}
+
+/// Finds the tilt by any of the sources. The focal length is not adjusted: its share is what the angles would be with
+/// another one.
+struct TiltSolver {
+    problem: Problem,
+    /// With a focal length one standard deviation shorter and longer; `None` where it is known.
+    zoomed: Option<[Problem; 2]>,
+}
+
+impl TiltSolver {
+    fn new(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, ObjectImage>], focal_std: f64) -> Option<Self> {
+        let world_from_cam = background.images.values().next()?.cam_from_world.rotation.inverse();
+        let problem =
+            |log_focal: f64| Problem { vehicles: sights(background, vehicles, log_focal.exp()), world_from_cam };
+        Some(Self { problem: problem(0.0), zoomed: (focal_std > 0.0).then(|| [-focal_std, focal_std].map(problem)) })
+    }
+
+    /// `None` where vehicles and sources do not determine it.
+    fn tilt(&self, stated: &[&StatedTilt]) -> Option<Tilt> {
+        let (angles, covariance) = self.problem.minimum(stated, None)?;
+        let angles_of = |problem: &Problem| Some(problem.minimum(stated, Some(angles))?.0);
+        let by_focal = match &self.zoomed {
+            Some([shorter, longer]) => 0.5 * (angles_of(longer)? - angles_of(shorter)?),
+            None => Vector2::zeros(),
+        };
+        Some(Tilt { angles, covariance, by_focal })
+    }
+
+    /// The tilt by the sizes of vehicles alone.
+    fn by_vehicles(&self) -> Option<StatedTilt> {
+        let tilt = self.tilt(&[]).filter(|_| !self.problem.vehicles.is_empty())?;
+        let ([inclination, to_side], source) = (tilt.std(), "sizes of vehicles".to_owned());
+        let std = [Some(inclination), Some(to_side)];
+        let stated = StatedTilt { source, angles: tilt.angles.into(), std, kind: TiltKind::Ground };
+        (inclination.hypot(to_side) <= MAX_TILT_STD).then_some(stated)
+    }
+
+    /// Each source against all others, as far as these determine the tilt.
+    fn differences(&self, all: &[&StatedTilt]) -> Vec<Difference> {
+        let against_others = |k: usize| {
+            let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
+            let tilt = self.tilt(&others)?;
+            let others_std = tilt.std();
+            let off = |(axis, off, std): (usize, f64, f64)| (off, off / std.hypot(others_std[axis]));
+            Some(Difference {
+                source: all[k].source.clone(),
+                angles: all[k].differences(tilt.angles).map(off).collect(),
+            })
+        };
+        (0..all.len()).filter_map(against_others).collect()
+    }
 }
 
 /// Sights of the vehicles in the frames, by cameras whose focal length is `zoom` times the one of the background.

@@ -1,14 +1,13 @@
-//! From the frames of a video to tracks: points are followed from frame to frame, and each is measured against its
-//! first sight.
+//! Tracks of image points from the frames of a video.
 //!
-//! A point is found where both eigenvalues of the structure tensor are large (J. Shi, C. Tomasi, *Good Features to
-//! Track*, CVPR 1994), predicted in the next frame by pyramidal Lucas-Kanade (`point_tracking`), and then aligned with
-//! the patch that was cut when it was found ([`super::patch`]), which keeps long tracks from drifting and shows whether
-//! the point is still seen. A point that Lucas-Kanade loses is looked for again where its neighbours' motion leads.
-//! Every position comes with how exactly the patch fixes it ([`Whitening`](crate::bundle::Whitening)).
+//! A point is a corner (J. Shi, C. Tomasi, *Good Features to Track*, CVPR 1994; `corners`). Pyramidal Lucas-Kanade
+//! predicts it in the next frame (`point_tracking`); alignment with the patch of its first observation
+//! ([`super::patch`]) keeps long tracks from drifting, ends them where the point is hidden, and gives the covariance of
+//! the position ([`Whitening`](crate::bundle::Whitening)). A point that Lucas-Kanade loses is searched for where the
+//! motion of its neighbors leads.
 //!
-//! What was lost for longer, behind something else or out of the picture, is found again by appearance (`memory`,
-//! `bridge`).
+//! Points that are lost for longer, after occlusions or outside of the image, are re-detected in keyframes
+//! (`keyframe_memory`, `redetection`).
 
 mod affine_views;
 mod corners;
