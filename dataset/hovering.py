@@ -2,8 +2,9 @@
 """Inputs of hovering sequences (logs and map points with noise), and errors of a run and of a homography.
 
 ``inputs`` writes a log of a drone (video.SRT) and points of a map (points.geojson) of a sequence, with errors of their
-kind by a seed. ``compare`` states the errors of a run's positions, and of those of a homography from the image to four
-and more points of the map with frames registered to the first one, at the middles of the same masks (geo-trax's way).
+kind by a seed. ``compare`` states the errors of a run's positions, those of parked cars apart, and of a homography from
+the image to four and more points of the map with frames registered to the first one, at the middles of the same masks
+(geo-trax's way).
 ``recall`` states in how many frames a run has masks of the driven vehicles. ``plane`` states the error of the ground's
 normal, of each of its sources, and of the focal length.
 """
@@ -30,8 +31,8 @@ FOCAL_STD = 0.05
 PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
 # Height above the ground at which vehicles are seen, metres: half of a car's.
 MIDDLE_M = 0.7
-# Distance within which positions are those of a true vehicle, metres.
-NEAR_M = 8.0
+# Distance within which positions are those of a true vehicle, metres; parked cars are half of a bay apart.
+NEAR_M, NEAR_PARKED_M = 8.0, 2.7
 
 
 @dataclass
@@ -193,19 +194,32 @@ def compare(sequence: Path, run: Path, points: Path | None) -> None:
 def compare_ground_tracks(truth: Truth, tracks: list[dict]) -> None:
     """Prints the errors of the positions of ground tracks that are near a driven vehicle."""
     total, total_stds = [], []
+    parked = np.array([car["position"][:2] for car in truth.scene.get("parked", [])]).reshape(-1, 2)
+    at_rest, at_rest_stds = [], []
     for track in tracks:
         places = {f["frame"]: from_map(f["longitude"], f["latitude"]) for f in track["frames"]}
+        positions = np.array(list(places.values()))
+        to_parked = np.linalg.norm(positions[:, None] - parked, axis=2)
+        car = int(np.argmin(to_parked.mean(0))) if len(parked) else None
         offs = {
             name: np.array([at - poses[k][:2, 3] for k, at in places.items()]) for name, poses in truth.vehicles.items()
         }
         name = min(offs, key=lambda name: float(np.median(np.linalg.norm(offs[name], axis=1))))
-        if np.median(np.linalg.norm(offs[name], axis=1)) <= NEAR_M:
-            stds = [f["place_std_m"][:2] for f in track["frames"]]
+        distance = float(np.median(np.linalg.norm(offs[name], axis=1)))
+        stds = [f["place_std_m"][:2] for f in track["frames"]]
+        if car is not None and np.quantile(to_parked[:, car], 0.9) <= min(distance, NEAR_PARKED_M):
+            at_rest.append(positions - parked[car])
+            at_rest_stds.extend(stds)
+        elif distance <= NEAR_M:
             _state(f"ground track {track['id']} = {name}", offs[name], stds)
             total.append(offs[name])
             total_stds.extend(stds)
     if total:
         _state("all ground tracks", np.concatenate(total), total_stds)
+    if at_rest:
+        means = [float(np.linalg.norm(errors, axis=1).mean()) for errors in at_rest]
+        print("parked cars, mean error of each:", ", ".join(f"{mean:.2f}" for mean in sorted(means)))
+        _state(f"all {len(at_rest)} ground tracks of parked cars", np.concatenate(at_rest), at_rest_stds)
 
 
 def compare_live(sequence: Path, run: Path) -> None:

@@ -21,7 +21,7 @@ from .seeds import Key, fbm, rng, smoothstep
 from .shading import Nodes
 from .vehicles.assemble import Vehicle, assemble, pose_wheels
 from .vehicles.heavy import FLEET
-from .vehicles.spec import VEHICLES, repainted
+from .vehicles.spec import VEHICLES, VehicleSpec, repainted
 
 HOST = "saloon"
 SMOOTH = {"road": "smooth_road", "deck": "smooth_road"}
@@ -50,6 +50,14 @@ class Request:
 
 
 @dataclass
+class Parked:
+    """A parked car: its model, and its pose in the world (4, 4)."""
+
+    spec: VehicleSpec
+    world_from_object: np.ndarray
+
+
+@dataclass
 class World:
     """A sequence ready to be rendered, with all that is known about it."""
 
@@ -59,6 +67,7 @@ class World:
     target: Vehicle
     motion: Motion
     others: list[tuple[Vehicle, Motion]]
+    parked: list[Parked]
     camera: CameraPath
     grounds: list[Ground]
     focus: Focus
@@ -121,24 +130,28 @@ def _thing_data(kind: str, variant_number: int) -> bpy.types.Mesh:
     return found
 
 
-def _place_things(places: list[furniture.Place], focus: Focus) -> None:
+def _place_things(places: list[furniture.Place], focus: Focus) -> list[Parked]:
+    """Places what is near, and gives the parked cars among it."""
+    parked = []
     x, y = np.array([p.position for p in places]).T
     for place, away, z in zip(places, focus.distance(x, y), plan.surface_height(x, y)):
         if away > (TREE_REACH_M if place.kind == "tree" else PLACE_REACH_M):
             continue
         if place.kind == "parked":
-            _park(place, place.matrix(z))
+            parked.append(_park(place, place.matrix(z)))
         else:
             blender.place(place.kind, _thing_data(place.kind, place.variant), STATIC, place.matrix(z))
+    return parked
 
 
-def _park(place: furniture.Place, matrix: np.ndarray) -> None:
+def _park(place: furniture.Place, matrix: np.ndarray) -> Parked:
     """A parked car: one of the five models in one of a few paints."""
     names = sorted(VEHICLES)
     spec = repainted(VEHICLES[names[place.variant % 5]], place.variant // 5, f"TX {100 + place.variant % 5} P")
     car = assemble(spec, STATIC)
     matrix[:3, :3] = _on_slope(place.position, np.array([np.cos(place.heading), np.sin(place.heading)]))
     car.root.matrix_world = Matrix(matrix.tolist())
+    return Parked(spec, matrix)
 
 
 def _on_slope(position: tuple[float, float], forward: np.ndarray) -> np.ndarray:
@@ -283,13 +296,13 @@ def build_world(request: Request) -> World:
     spec = FLEET[request.vehicle]
     motion = simulate(spec, trajectory.drive, times, probe)
     camera, blocked = _camera(trajectory, motion.world_from_object, times, probe, request.key)
-    _build_surroundings(grounds, focus, trajectory, camera, motion, blocked, request.key)
+    parked = _build_surroundings(grounds, focus, trajectory, camera, motion, blocked, request.key)
     target = assemble(spec, TARGET)
     others = []
     for i, (name, drive) in enumerate(trajectory.others):
         other = repainted(FLEET[name], int(rng("other", *request.key, i).integers(10)), f"TX {310 + 7 * i} Q")
         others.append((assemble(other, OTHER), simulate(other, drive, times, probe)))
-    return World(request, trajectory, times, target, motion, others, camera, grounds, focus)
+    return World(request, trajectory, times, target, motion, others, parked, camera, grounds, focus)
 
 
 def _build_surroundings(
@@ -300,14 +313,14 @@ def _build_surroundings(
     motion: Motion,
     blocked: list,
     key: tuple[Key, ...],
-) -> None:
-    """All that does not move, without what stands in the line of sight."""
+) -> list[Parked]:
+    """Places all that does not move, without what stands in the line of sight; gives the parked cars."""
     _place_ground(grounds, trajectory.asphalt)
     _place_houses([lot for lot in buildings.lots() if lot not in blocked], focus)
     everything = furniture.places()
     close = focus.distance(*np.array([p.position for p in everything]).T) < TREE_REACH_M
     near = [p for p, is_close in zip(everything, close) if is_close]
-    _place_things(_clear(near, trajectory, camera, motion), focus)
+    parked = _place_things(_clear(near, trajectory, camera, motion), focus)
     worn = trajectory.asphalt == "worn"
     _place_mesh("markings", build_markings(focus, worn), GROUND)
     if worn:
@@ -315,6 +328,7 @@ def _build_surroundings(
     _place_mesh("tufts", nature.build_tufts(focus), GROUND)
     _place_river(focus)
     _light(*trajectory.sun, key)
+    return parked
 
 
 def _clear(

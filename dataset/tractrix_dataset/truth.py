@@ -16,7 +16,7 @@ from .kinematics import Motion
 from .mesh import read_ply, write_ply, write_ply_ascii
 from .outline import in_camera, visible_share, whole_pixels
 from .render import RenderOptions
-from .scene import World
+from .scene import Parked, World
 from .vehicles.assemble import ground_truth_mesh
 
 GROUND_REACH_M = 14.0
@@ -120,7 +120,20 @@ def scene_json(world: World, options: RenderOptions, device: str, folder: Path) 
         "engine": f"Cycles ({device}) with OpenImageDenoise",
         "path_length_m": float(world.motion.distance[-1] - world.motion.distance[0]),
         "others": [vehicle.spec.name for vehicle, _ in world.others],
+        "parked": [_parked(car) for car in world.parked],
         "frames": [_frame(world, options, folder, i) for i in range(request.n_frames)],
+    }
+
+
+def _parked(car: Parked) -> dict:
+    spec = car.spec
+    middle = car.world_from_object @ [0.5 * (spec.nose_x + spec.tail_x), 0.0, 0.0, 1.0]
+    forward = car.world_from_object[:2, 0]
+    return {
+        "model": spec.name,
+        "position": middle[:3].tolist(),
+        "heading_rad": float(np.arctan2(forward[1], forward[0])),
+        "size_m": [spec.length, spec.width, spec.height],
     }
 
 
