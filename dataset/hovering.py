@@ -31,7 +31,7 @@ FOCAL_STD = 0.05
 PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
 # Height above the ground at which vehicles are seen, metres: half of a car's.
 MIDDLE_M = 0.7
-# Distance within which positions are those of a true vehicle, metres; parked cars are half of a bay apart.
+# Distance within which positions are those of a true vehicle, metres; of a parked car half of the 5.5 m between bays.
 NEAR_M, NEAR_PARKED_M = 8.0, 2.7
 
 
