@@ -66,8 +66,8 @@ pub use covariance::{Covariances, PoseCovariance, Wanted, covariances};
 pub use levenberg_marquardt::adjust;
 pub use options::{Behind, Gauge, LinearSolver, Options};
 pub use problem::{
-    BundleError, CameraBlock, IntrinsicsPrior, Observation, PlanePrior, PointBlock, PointPrior, PoseBlock, PosePrior,
-    Priors, Problem,
+    BundleError, CameraBlock, IntrinsicsPrior, Observation, PlanePrior, PointBlock, PointPrior, PoseBlock, Priors,
+    Problem,
 };
 pub use summary::{Summary, Termination};
 pub use uncertainty::{COMMON_ERROR_FACTOR, CenterDeviations, center_deviations};

@@ -1,4 +1,4 @@
-//! The prior that a plane known in a camera's frame passes through a point of the world, and is level there (eq. 15a).
+//! The prior that a plane known in a camera's frame passes through a point of the world, and is level there (eq. 15).
 
 use nalgebra::{Matrix3, RowVector3, Vector3};
 

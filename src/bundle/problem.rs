@@ -89,8 +89,6 @@ impl Observation {
 /// Knowledge that does not come from image positions, as independent Gaussians.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Priors {
-    /// On poses.
-    pub poses: Vec<PosePrior>,
     /// On intrinsics.
     pub intrinsics: Vec<IntrinsicsPrior>,
     /// On poses, by planes that are known in the cameras' frames.
@@ -102,23 +100,8 @@ pub struct Priors {
 impl Priors {
     /// Returns true if a prior ties the world to a given frame, so that the gauge is not free.
     pub(super) fn hold_gauge(&self) -> bool {
-        !self.poses.is_empty() || !self.planes.is_empty() || !self.points.is_empty()
+        !self.planes.is_empty() || !self.points.is_empty()
     }
-}
-
-/// A pose is near a known one.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PosePrior {
-    /// Index in [`Problem::poses`].
-    pub pose: usize,
-    /// The known pose.
-    pub cam_from_world: Rigid3,
-    /// Standard deviation of the rotation about each axis, radians; infinite leaves the rotation out.
-    pub sigma_rotation: f64,
-    /// Standard deviation of each coordinate of the camera centre, world units; infinite leaves the centre out.
-    pub sigma_center: Vector3<f64>,
-    /// Robust loss on rotation and centre each, in standard deviations: some positions of a receiver are wrong.
-    pub loss: RobustLoss,
 }
 
 /// A plane that is known in the camera's frame, n · x + h = 0, passes near a point of the world and is near level
@@ -277,13 +260,6 @@ impl Problem {
     }
 
     fn check_priors(&self) -> Result<(), BundleError> {
-        for (index, prior) in self.priors.poses.iter().enumerate() {
-            in_range("pose prior", index, "pose", prior.pose, self.poses.len())?;
-            let Rigid3 { rotation, translation } = prior.cam_from_world;
-            let finite = rotation.coords.iter().chain(translation.iter()).all(|v| v.is_finite());
-            let positive = prior.sigma_rotation > 0.0 && prior.sigma_center.iter().all(|sigma| *sigma > 0.0);
-            require(finite && positive, "pose prior", index)?;
-        }
         for (index, prior) in self.priors.intrinsics.iter().enumerate() {
             in_range("intrinsics prior", index, "camera", prior.camera, self.cameras.len())?;
             let good = prior.values.iter().all(|v| v.is_finite()) && prior.sigma.iter().all(|s| *s > 0.0);

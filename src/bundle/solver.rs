@@ -136,9 +136,9 @@ mod tests {
     use super::super::options::{Behind, Options};
     use super::super::piece::Pass;
     use super::super::priors;
-    use nalgebra::{Vector2, Vector3};
+    use nalgebra::{Point3, Vector2, Vector3};
 
-    use super::super::problem::{CameraBlock, Observation, PointPrior, PosePrior, Problem};
+    use super::super::problem::{CameraBlock, Observation, PlanePrior, PointPrior, Problem};
     use super::super::state::State;
     use super::*;
     use crate::math::RobustLoss;
@@ -217,19 +217,21 @@ mod tests {
         assert!(is_border && share > 0.3, "{share}");
     }
 
-    /// Forty points in a hundred views: one is held, one known, one seen twice in a picture, and a pose is known.
+    /// Forty points in a hundred views: one is held, one known, one seen twice in a picture; a camera has a plane.
     fn few_points() -> Problem {
         let options = scene::Options { num_images: 100, num_points: 40, noise_px: 0.5, ..Default::default() };
         let mut problem =
             Problem::from_reconstruction(&static_scene(&options), |_, camera| CameraBlock::fixed(*camera));
         problem.points[7].fixed = true;
         problem.priors.points.push(PointPrior { point: 3, position: problem.points[3].position, sigma: 0.02 });
-        let cam_from_world = problem.poses[9].cam_from_world;
-        problem.priors.poses.push(PosePrior {
+        problem.priors.planes.push(PlanePrior {
             pose: 9,
-            cam_from_world,
-            sigma_rotation: 0.01,
-            sigma_center: Vector3::repeat(0.1),
+            normal_in_cam: -Vector3::y(),
+            camera_height: 3.0,
+            point: Point3::origin(),
+            up: Vector3::z(),
+            sigma_distance: 0.1,
+            sigma_tilt: 0.1,
             loss: RobustLoss::Squared,
         });
         let twice = problem.observations[30];

@@ -36,11 +36,6 @@ impl CameraPath {
         (self.times_s[0], self.times_s[self.times_s.len() - 1])
     }
 
-    /// The centres.
-    pub fn centers(&self) -> &[Point3<f64>] {
-        &self.centers
-    }
-
     /// Returns true if the path has a position at a time: inside, and not in a gap.
     pub fn covers(&self, time_s: f64) -> bool {
         let (start, end) = self.span_s();
@@ -58,12 +53,6 @@ impl CameraPath {
         let duration_s = self.times_s[i + 1] - self.times_s[i];
         let velocity = (self.centers[i + 1] - self.centers[i]) / duration_s;
         (self.centers[i] + velocity * (time_s - self.times_s[i]), velocity)
-    }
-
-    /// Index of the pose nearest to a time.
-    pub fn nearest(&self, time_s: f64) -> usize {
-        let i = self.segment(time_s);
-        if time_s - self.times_s[i] <= self.times_s[i + 1] - time_s { i } else { i + 1 }
     }
 
     /// Index of the pose before a time that has one after it.

@@ -12,7 +12,6 @@
 pub mod align;
 mod attitude;
 mod camera_path;
-mod center_fixes;
 mod fix;
 mod fusion;
 mod known;
@@ -26,7 +25,6 @@ mod vehicles;
 pub use align::{Alignment, Gravity, Offset, Orientation, Refusal, Support, align_to_fixes};
 pub use attitude::{metric_from_cam, orientation};
 pub use camera_path::CameraPath;
-pub use center_fixes::{CenterFix, center_fixes};
 pub use fix::PositionFix;
 pub use fusion::{Fused, Kind, Source, fuse};
 pub use known::{KnownLength, KnownLengthError};

@@ -109,32 +109,6 @@ fn instruction_sets_agree() {
 }
 
 #[test]
-fn pose_prior() {
-    for angle in [0.0, 1e-6, 0.4, 2.0] {
-        let near =
-            Rigid3::new(UnitQuaternion::from_scaled_axis(Vector3::new(0.2, 1.0, -0.5) * angle), Vector3::zeros());
-        let prior = PosePrior {
-            pose: 0,
-            cam_from_world: near * pose(),
-            sigma_rotation: 0.3,
-            sigma_center: Vector3::new(0.7, 0.5, 0.9),
-            loss: RobustLoss::Squared,
-        };
-        let (rotation, center) = priors::pose_jacobians(&prior, &pose());
-        let moved = |d: &[f64; 6]| {
-            let (r, c) = priors::pose_residual(&prior, &perturb(&pose(), d));
-            r.iter().chain(c.iter()).copied().collect()
-        };
-        let jacobian = |row: usize, k: usize| match (row < 3, k < 3) {
-            (true, true) => rotation[(row, k)],
-            (false, false) => center[(row - 3, k - 3)],
-            _ => 0.0,
-        };
-        check_jacobian(&format!("pose prior at {angle}"), moved, jacobian, [1e-6; 6]);
-    }
-}
-
-#[test]
 fn plane_priors() {
     let prior = plane_through(Point3::new(0.3, -0.2, 0.5));
     let (by_turn, by_shift, tilt_by_turn) = plane_prior::jacobians(&prior, &pose());
@@ -171,16 +145,7 @@ fn plane_through(point: Point3<f64>) -> PlanePrior {
 fn the_gradient_is_that_of_the_cost() {
     for camera_per_image in [false, true] {
         let options = scene::Options { camera_per_image, num_points: 20, num_images: 4, ..Default::default() };
-        let (truth, mut problem) =
-            disturbed(&options, |camera| CameraBlock { camera, free: [true; 6], tie_focal: false });
-        let known = truth.images.values().next().unwrap().cam_from_world;
-        problem.priors.poses.push(PosePrior {
-            pose: 1,
-            cam_from_world: known,
-            sigma_rotation: 0.1,
-            sigma_center: Vector3::repeat(0.2),
-            loss: RobustLoss::Cauchy { scale: 2.0 },
-        });
+        let (_, mut problem) = disturbed(&options, |camera| CameraBlock { camera, free: [true; 6], tie_focal: false });
         let (values, sigma) = ([790.0, 810.0, 470.0, 280.0, 0.1, 0.0], [5.0, 6.0, 3.0, f64::INFINITY, 0.2, 0.1]);
         problem.priors.intrinsics.push(IntrinsicsPrior { camera: 0, values, sigma });
         problem.priors.planes.push(plane_through(Point3::new(0.3, -0.2, 0.5)));

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::clock_offsets;
 use super::telemetry::{Origin, Telemetry};
-use crate::metric::{Alignment, CameraPath, Offset, PositionFix, Refusal, Support, align_to_fixes};
+use crate::metric::{Alignment, CameraPath, Offset, Refusal, Support, align_to_fixes};
 use crate::pipeline::driver::run::Run;
 use crate::scene::{Frame, Image, Reconstruction, TimeBase};
 use crate::telemetry::{self, Fix, LocalFixes, LocalFrame};
@@ -14,8 +14,6 @@ pub(in crate::pipeline) struct FittedLog {
     pub(in crate::pipeline) alignment: Alignment,
     pub(in crate::pipeline) map: LocalFrame,
     pub(in crate::pipeline) knows_height: bool,
-    /// The fixes in meters; times count from `epoch_s`.
-    pub(in crate::pipeline) fixes: Vec<PositionFix>,
     /// Epoch of the log's times, seconds of its clock.
     pub(in crate::pipeline) epoch_s: f64,
     /// Why the log does not fit at the offset that it states.
@@ -58,7 +56,7 @@ pub(in crate::pipeline) fn fit(
         }
         if let [_] = fitting[..] {
             let alignment = fitting.swap_remove(0);
-            return Ok(FittedLog { alignment, map, knows_height, fixes, epoch_s, refusal });
+            return Ok(FittedLog { alignment, map, knows_height, epoch_s, refusal });
         }
     }
     Err(refusal.as_ref().map_or_else(String::new, Refusal::to_string))

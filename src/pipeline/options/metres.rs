@@ -50,8 +50,6 @@ pub struct MetricOptions {
     /// Known dimensions of vehicles, with standard deviation: `"1:length=4.47±0.02"`.
     #[schemars(with = "Vec<String>", extend("unit" = "metres, as text"))]
     pub known_lengths: Vec<KnownLength>,
-    /// True if positions of telemetry take part in the last adjustment of the background.
-    pub position_priors: bool,
 }
 
 impl MetricOptions {

@@ -32,7 +32,7 @@ pub(in crate::pipeline) fn write(run: &Run, background: &Reconstruction) -> Resu
 }
 
 /// Telemetry of the input on the path of a background, and its origin; `None` where there is none, or it does not fit.
-pub(super) fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
+fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
     if run.options.metric.telemetry == TelemetryChoice::None || background.points.is_empty() {
         return None;
     }

@@ -6,7 +6,6 @@ mod hovering;
 pub(in crate::pipeline) mod map_frame;
 pub(in crate::pipeline) mod model_report;
 pub(in crate::pipeline) mod point_cloud;
-mod position_priors;
 
 pub(in crate::pipeline) use hovering::normal_by_lines;
 pub use map_frame::background_frame;
@@ -46,7 +45,6 @@ pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, Pipe
         "intrinsics_std": run.options.intrinsics_std,
         "options": background.mapper,
         "seed": run.options.seed,
-        "positions": position_priors::cache_key(run),
         "map_points": run.options.metric.map_points.as_deref().map(fingerprint::of_content).transpose()?,
     });
     Ok(with_model_files(cache_key, run))
@@ -62,13 +60,11 @@ pub(in crate::pipeline) fn with_model_files(mut cache_key: Value, run: &Run) -> 
 
 pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let (mut model, mut report) = match &run.options.background_model {
+    let (model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,
         None => reconstruct_views(run, &mut outcome)?,
     };
     if !report.given {
-        let std = prior_std(run, &model, false)?;
-        position_priors::adjust(run, &mut model, &std, &mut outcome)?;
         report.describe_points(&model);
     }
     if !model.points.is_empty() {
