@@ -17,8 +17,7 @@ use image::{Rgb, RgbImage};
 use tractrix::ground;
 use tractrix::image::gray_from_rgb;
 use tractrix::motion::{
-    GroundModel, MotionOptions, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, Verdict, View, classify,
-    movers,
+    GroundModel, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, Verdict, View, classify, movers,
 };
 use tractrix::scene::{ImageId, Reconstruction, Rect};
 use tractrix::video::Source;
@@ -39,16 +38,15 @@ fn main() -> Result<()> {
     let [video, model, rest @ ..] = arguments.as_slice() else {
         return Err("usage: find_movers VIDEO BACKGROUND_MODEL [FOLDER FOR PICTURES | -] [FOLDER WITH MASKS]".into());
     };
-    let options = MotionOptions::default();
-    let followed = follow(video.as_ref(), &options)?;
+    let followed = follow(video.as_ref())?;
     let background = tractrix::io::interchange::colmap::read(model.as_ref())?;
     let ground = ground_of(&background);
     let views = views(&background, &followed.ids);
     let surroundings =
         Surroundings { size: followed.size, times_s: &followed.times_s, views: &views, ground: ground.as_ref() };
     let start = Instant::now();
-    let labels = classify(&followed.tracks, &surroundings, &options.evidence);
-    let found = movers(&followed.tracks, &labels, &surroundings, &options);
+    let labels = classify(&followed.tracks, &surroundings);
+    let found = movers(&followed.tracks, &labels, &surroundings);
     print_counts(&followed, &views, &labels, start.elapsed().as_secs_f64());
     for (k, mover) in found.iter().enumerate() {
         print_mover(k, mover);
@@ -62,7 +60,7 @@ fn main() -> Result<()> {
     }
 }
 
-fn follow(video: &Path, options: &MotionOptions) -> Result<Followed> {
+fn follow(video: &Path) -> Result<Followed> {
     let source = Source::open(video, &tractrix::video::Options::default())?;
     let (mut follower, mut times_s, mut ids, mut seconds) = (None, Vec::new(), Vec::new(), 0.0);
     let mut size = (0, 0);
@@ -71,7 +69,7 @@ fn follow(video: &Path, options: &MotionOptions) -> Result<Followed> {
         size = image.dimensions();
         let gray = gray_from_rgb(&image)?;
         let start = Instant::now();
-        follower.get_or_insert_with(|| PointFollower::new(&options.follower, size)).push(&gray)?;
+        follower.get_or_insert_with(|| PointFollower::new(size)).push(&gray)?;
         seconds += start.elapsed().as_secs_f64();
         times_s.push(frame.time_s);
         ids.push(ImageId::from(frame.id));

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use image::{Rgb, RgbImage};
-use tractrix::networks::{FlowOptions, KnownMasks, SegmentationOptions, load_flow, load_segmenter};
+use tractrix::networks::{KnownMasks, SegmentationOptions, load_flow, load_segmenter};
 use tractrix::scene::{Frame, Mask, ObjectId};
 use tractrix::tracking::{
     BoxSource, DetectedBox, Evidence, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
@@ -48,7 +48,7 @@ fn follow(
     pictures: Option<&Path>,
 ) -> Result<(Vec<TrackSummary>, Times), Box<dyn Error>> {
     let mut segmenter = load_segmenter(model, &SegmentationOptions::default(), 0)?;
-    let mut estimator = load_flow(None, &FlowOptions::default(), 0)?;
+    let mut estimator = load_flow(None, 0)?;
     let mut tracker = Tracker::new(TrackerOptions::default());
     let (mut times, mut previous) = (Times::default(), None::<RgbImage>);
     let source = Source::open(video, &tractrix::video::Options::default())?;

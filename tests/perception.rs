@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use image::RgbImage;
 use tractrix::networks::{
-    FlowOptions, GroundOptions, KnownMasks, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
+    GroundOptions, KnownMasks, SegmentationOptions, load_flow, load_ground_segmenter, load_segmenter,
 };
 use tractrix::scene::{BoundingBox, Frame, Mask, ObjectId};
 use tractrix::tracking::{BoxSource, DetectedBox, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions};
@@ -38,7 +38,7 @@ struct Outcome {
 /// Segments and tracks the first frames of a clip.
 fn follow(clip: &Path, limit: usize) -> Outcome {
     let mut segmenter = load_segmenter(&in_data(MODEL), &SegmentationOptions::default(), 0).unwrap();
-    let mut estimator = load_flow(None, &FlowOptions::default(), 0).unwrap();
+    let mut estimator = load_flow(None, 0).unwrap();
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut outcome = Outcome::default();
     let mut previous: Option<RgbImage> = None;
@@ -132,7 +132,7 @@ fn a_network_of_another_kind_is_refused_with_what_it_has() {
     assert!(error.contains("logits") && error.contains("YOLO-seg"), "{error}");
     let error = load_ground_segmenter(&in_data(MODEL), &GroundOptions::default(), 0).err().unwrap().to_string();
     assert!(error.contains("output0") && error.contains("semantic"), "{error}");
-    let error = load_flow(Some(&semantic), &FlowOptions::default(), 0).err().unwrap().to_string();
+    let error = load_flow(Some(&semantic), 0).err().unwrap().to_string();
     assert!(error.contains("logits") && error.contains("RAFT"), "{error}");
     let not_a_network = in_data("videos/truth/uav123_car10_a.target_2d.txt");
     let error = load_segmenter(&not_a_network, &SegmentationOptions::default(), 0).err().unwrap().to_string();

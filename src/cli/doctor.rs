@@ -13,8 +13,8 @@ use crate::ffi::onnx::{OnnxError, Provider, Resources};
 use crate::ffi::{ffmpeg, onnx};
 use crate::files;
 use crate::networks::{
-    FlowOptions, GroundOptions, ModelDescription, PerceptionError, SegmentationOptions, default_descriptions,
-    default_models, load_flow, load_ground_segmenter, load_segmenter,
+    GroundOptions, ModelDescription, PerceptionError, SegmentationOptions, default_descriptions, default_models,
+    load_flow, load_ground_segmenter, load_segmenter,
 };
 
 /// Check installed libraries and networks
@@ -227,9 +227,7 @@ fn models(args: &Args) -> [Finding; 3] {
             ),
         },
         match &args.flow_model {
-            Some(path) => {
-                model(args, FLOW, path, load_flow(Some(path), &FlowOptions::default(), args.resources()).map(drop))
-            }
+            Some(path) => model(args, FLOW, path, load_flow(Some(path), args.resources()).map(drop)),
             None => Finding::good(FLOW, "none given: OpenCV's DIS is used"),
         },
     ]

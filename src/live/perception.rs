@@ -214,7 +214,7 @@ impl Perception {
         Ok(Self {
             detector,
             segmenter,
-            flow: load_flow(options.flow_model.as_deref(), &options.flow, resources)?,
+            flow: load_flow(options.flow_model.as_deref(), resources)?,
             tracker: Tracker::new(options.tracker.clone()),
             previous: None,
             boxes: Vec::new(),

@@ -5,7 +5,7 @@ use serde::{Deserialize, Serialize};
 
 use super::fit::{StaticFit, fit_static};
 use super::noise::{Circumstances, Noise};
-use super::{EvidenceOptions, PointTrack, Surroundings};
+use super::{PointTrack, Surroundings};
 
 /// Evidence that a point moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
@@ -76,16 +76,26 @@ impl TrackLabel {
     }
 }
 
+/// Minimum residual of a moving point, in times the noise of the image's own points.
+const MIN_STRENGTH: f64 = 4.0;
+/// Smallest deviation from what a static point would show, pixels.
+pub(super) const MIN_DEVIATION_PX: f64 = 1.5;
+/// Tolerance of the ground: share of the distance at which a ray meets it.
+pub const GROUND_TOLERANCE: f64 = 0.15;
+/// Frames of a track that are looked at, evenly spread over its life.
+const MAX_VIEWS: usize = 24;
+/// Smallest noise of a followed point, pixels.
+const MIN_NOISE_PX: f64 = 0.1;
+
 /// Says of every track whether it moves; one label per track.
 ///
 /// Tracks that less than four frames with cameras see are undetermined. Where no frame has a camera, so are all.
-pub fn classify(tracks: &[PointTrack], surroundings: &Surroundings, options: &EvidenceOptions) -> Vec<TrackLabel> {
-    let measured: Vec<Option<Measured>> =
-        tracks.par_iter().map(|track| measure(track, surroundings, options)).collect();
+pub fn classify(tracks: &[PointTrack], surroundings: &Surroundings) -> Vec<TrackLabel> {
+    let measured: Vec<Option<Measured>> = tracks.par_iter().map(|track| measure(track, surroundings)).collect();
     let samples: Vec<(Circumstances, f64)> =
         measured.iter().flatten().filter(|m| !m.is_fixed).map(|m| (m.circumstances, m.fit.rms_px)).collect();
-    let noise = Noise::measure(&samples, options.min_noise_px);
-    let label = |m: &Option<Measured>| m.as_ref().map_or(TrackLabel::UNDETERMINED, |m| m.label(&noise, options));
+    let noise = Noise::measure(&samples, MIN_NOISE_PX);
+    let label = |m: &Option<Measured>| m.as_ref().map_or(TrackLabel::UNDETERMINED, |m| m.label(&noise));
     measured.iter().map(label).collect()
 }
 
@@ -108,13 +118,13 @@ pub(super) const HORIZON: f64 = 40.0;
 /// Strength of a static point, at most, as a share of the minimum strength of a moving one.
 const QUIET: f64 = 0.75;
 
-fn measure(track: &PointTrack, surroundings: &Surroundings, options: &EvidenceOptions) -> Option<Measured> {
+fn measure(track: &PointTrack, surroundings: &Surroundings) -> Option<Measured> {
     let pose = |frame: u32| surroundings.views.get(frame as usize)?.as_ref().map(|view| view.cam_from_world);
     let heights =
         |frame: u32| surroundings.ground.zip(pose(frame)).and_then(|(ground, pose)| ground.camera_height(&pose));
     let height = (track.first..track.end()).find_map(heights);
     let limit = height.map_or(f64::INFINITY, |height| 1.0 / (LEAST_DISTANCE * height));
-    let fit = fit_static(track, surroundings, options.max_views, limit)?;
+    let fit = fit_static(track, surroundings, MAX_VIEWS, limit)?;
     let at_reference = pose(fit.reference)?;
     let ground = surroundings.ground.and_then(|ground| ground.inverse_depth(&at_reference, fit.ray));
     Some(Measured {
@@ -150,12 +160,12 @@ fn is_fixed(track: &PointTrack, surroundings: &Surroundings) -> bool {
 }
 
 impl Measured {
-    fn label(&self, noise: &Noise, options: &EvidenceOptions) -> TrackLabel {
+    fn label(&self, noise: &Noise) -> TrackLabel {
         let noise_px = noise.of(&self.circumstances);
         let off_line = self.fit.rms_px / noise_px;
-        let (along, along_px) = self.along_ray(noise_px, options);
-        let is_clear = |strength: f64, px: f64| strength >= options.min_strength && px >= options.min_deviation_px;
-        let is_quiet = off_line < QUIET * options.min_strength;
+        let (along, along_px) = self.along_ray(noise_px);
+        let is_clear = |strength: f64, px: f64| strength >= MIN_STRENGTH && px >= MIN_DEVIATION_PX;
+        let is_quiet = off_line < QUIET * MIN_STRENGTH;
         let verdict = if self.is_fixed {
             Verdict::Fixed
         } else if is_clear(off_line, self.fit.max_px) {
@@ -164,13 +174,13 @@ impl Measured {
             Verdict::Moving(Evidence::BehindGround)
         } else if is_clear(along, along_px) {
             Verdict::Floating
-        } else if is_quiet && self.is_depth_known(noise_px, options) {
+        } else if is_quiet && self.is_depth_known(noise_px) {
             Verdict::Stationary
         } else {
             Verdict::Undetermined
         };
         let relative_height =
-            self.ground.filter(|_| self.is_depth_known(noise_px, options)).map(|g| 1.0 - g / self.fit.inverse_depth);
+            self.ground.filter(|_| self.is_depth_known(noise_px)).map(|g| 1.0 - g / self.fit.inverse_depth);
         let deviation_px = self.fit.max_px.hypot(along_px);
         let static_point = StaticPoint {
             frame: self.fit.reference,
@@ -188,19 +198,19 @@ impl Measured {
 
     /// Distance of the static point from the ground along its ray, beyond the ground's tolerance: in times the noise
     /// and in pixels; positive in front of the ground, negative behind it; zeros without a ground.
-    fn along_ray(&self, noise_px: f64, options: &EvidenceOptions) -> (f64, f64) {
+    fn along_ray(&self, noise_px: f64) -> (f64, f64) {
         let (Some(ground), Some(per_height)) = (self.ground, self.per_height) else { return (0.0, 0.0) };
         let ground = ground.max(0.0);
-        let slack = options.ground_tolerance * ground + per_height / HORIZON;
+        let slack = GROUND_TOLERANCE * ground + per_height / HORIZON;
         let gap = self.fit.inverse_depth - ground;
         let beyond = gap.signum() * (gap.abs() - slack).max(0.0);
         (beyond / (self.fit.inverse_depth_per_px * noise_px).max(1e-12), beyond * self.fit.shift_px)
     }
 
     /// Returns true if the depth is known, and not so large that a vehicle ahead would look the same.
-    fn is_depth_known(&self, noise_px: f64, options: &EvidenceOptions) -> bool {
+    fn is_depth_known(&self, noise_px: f64) -> bool {
         let sigma = self.fit.inverse_depth_per_px * noise_px;
         let farthest = self.per_height.map_or(0.0, |per_height| per_height / HORIZON);
-        self.fit.inverse_depth > farthest.max(options.min_strength * sigma)
+        self.fit.inverse_depth > farthest.max(MIN_STRENGTH * sigma)
     }
 }

@@ -7,7 +7,7 @@
 
 use std::f64::consts::PI;
 
-use super::classify::HORIZON;
+use super::classify::{GROUND_TOLERANCE, HORIZON};
 use super::{GroundModel, StaticPoint, View};
 use crate::math::{median, quantile};
 
@@ -29,24 +29,16 @@ impl GroundModel {
     /// Foot of an object below one of its points.
     ///
     /// * `pixel` – where the object ends below the point, in the frame of `point`.
-    /// * `ground_tolerance` – share of the distance by which the ground may be wrong.
     ///
     /// `None` where the ray meets no ground within the distances at which a vehicle differs from the sky.
-    pub fn foot(
-        &self,
-        view: &View,
-        pixel: [f64; 2],
-        is_cut: bool,
-        point: &StaticPoint,
-        ground_tolerance: f64,
-    ) -> Option<ContactDepth> {
+    pub fn foot(&self, view: &View, pixel: [f64; 2], is_cut: bool, point: &StaticPoint) -> Option<ContactDepth> {
         let ray = view.camera.normalized_from_pixel(pixel.into()).push(1.0);
         let ground = self.inverse_depth(&view.cam_from_world, ray)?;
         let heights = 1.0 / (ground * self.camera_height(&view.cam_from_world)?);
         let foot = ContactDepth {
             ratio: point.inverse_depth / ground,
             std: point.std / ground,
-            tolerance: ground_tolerance + heights / HORIZON,
+            tolerance: GROUND_TOLERANCE + heights / HORIZON,
             is_cut,
         };
         let is_usable = ground > 0.0 && heights < HORIZON && foot.ratio.is_finite() && foot.std.is_finite();
@@ -147,7 +139,6 @@ const LOGISTIC: f64 = 1.702;
 
 #[cfg(test)]
 mod tests {
-    use super::super::EvidenceOptions;
     use super::*;
 
     /// Odds of motion of a car 1.5 m high at a distance, with tracks good to 3 % of the inverse depth.
@@ -160,7 +151,7 @@ mod tests {
         // A static object that explains the tracks is 1 / (1 − speed) times as far away and as large.
         let ratio = (1.0 - speed) / (1.0 - lowest);
         let apparent_top = 1.0 - (1.0 - top) / (1.0 - speed);
-        let tolerance = EvidenceOptions::default().ground_tolerance + distance_m / camera_m / HORIZON;
+        let tolerance = GROUND_TOLERANCE + distance_m / camera_m / HORIZON;
         let foot = ContactDepth { ratio, std: 0.03 * ratio, tolerance, is_cut: false };
         ContactEvidence::of(&[foot; MIN_FEET], vec![apparent_top; MIN_FEET]).unwrap().odds_of_motion()
     }

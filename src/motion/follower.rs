@@ -10,7 +10,6 @@
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use super::FollowerOptions;
 use crate::image::{CornerStrength, GrayImage, LucasKanade, Pyramid, resize_gray, scale_to_fit};
 use crate::math::lower_quantile;
 use crate::networks::PerceptionError;
@@ -37,9 +36,28 @@ impl PointTrack {
     }
 }
 
+/// Longer side at which pictures are looked at, pixels; larger ones are shrunk.
+pub(super) const MAX_SIDE_PX: u32 = 1280;
+/// Side of the grid's cells, each of which starts a point when it has none, pixels: a vehicle of 30 pixels has some
+/// eight.
+pub(super) const SPACING_PX: u32 = 10;
+/// Points followed at a time, at the most.
+const MAX_POINTS: usize = 8000;
+/// Smallest corner strength of a new point, relative to that which one cell in ten exceeds.
+const QUALITY: f32 = 0.01;
+/// Half the side of the window that is followed, pixels.
+const WINDOW_RADIUS_PX: usize = 5;
+/// Levels of the pyramid above the picture.
+const PYRAMID_LEVELS: usize = 3;
+/// Largest distance between a point and where following it back leads, pixels.
+const MAX_ROUND_TRIP_PX: f32 = 0.6;
+/// Largest mean difference between the windows of two successive frames, in grey levels.
+const MAX_DIFFERENCE: f32 = 20.0;
+/// Shortest track that is kept, frames.
+const MIN_TRACK_LENGTH: usize = 4;
+
 /// Follows points frame by frame. The same frames give the same tracks, whatever the number of threads.
 pub struct PointFollower {
-    options: FollowerOptions,
     size: (u32, u32),
     work: (u32, u32),
     previous: Option<Pyramid>,
@@ -84,11 +102,10 @@ enum Start {
 
 impl PointFollower {
     /// Nothing seen yet; frames will have `size` (width, height).
-    pub fn new(options: &FollowerOptions, size: (u32, u32)) -> Self {
-        let work = scale_to_fit(size.0, size.1, options.max_side_px);
-        let options = options.clone();
+    pub fn new(size: (u32, u32)) -> Self {
+        let work = scale_to_fit(size.0, size.1, MAX_SIDE_PX);
         let (previous, live, done, rested) = (None, Vec::new(), Vec::new(), Vec::new());
-        let mut follower = Self { options, size, work, previous, live, done, num_frames: 0, rested };
+        let mut follower = Self { size, work, previous, live, done, num_frames: 0, rested };
         let (cols, rows) = follower.grid();
         follower.rested = vec![0; cols * rows];
         follower
@@ -104,7 +121,7 @@ impl PointFollower {
             return Err(PerceptionError::SizeMismatch { what, expected: self.size, found: picture.dimensions() });
         }
         let picture = resize_gray(picture, self.work.0, self.work.1)?;
-        let pyramid = Pyramid::new(picture, self.options.pyramid_levels.max(0) as usize)?;
+        let pyramid = Pyramid::new(picture, PYRAMID_LEVELS)?;
         if let Some(previous) = self.previous.take() {
             self.follow(&previous, &pyramid);
         }
@@ -149,7 +166,7 @@ impl PointFollower {
 
     /// Lets the cell of a point rest that was lost too soon.
     fn rest_after(&mut self, point: &Live) {
-        if point.positions.len() < self.options.min_track_length {
+        if point.positions.len() < MIN_TRACK_LENGTH {
             let cell = self.cell(point.last());
             self.rested[cell] = self.num_frames + REST;
         }
@@ -172,8 +189,7 @@ impl PointFollower {
         let method = if start == Start::Predicted { method.near() } else { method };
         for (&k, returned) in chosen.iter().zip(method.there_and_back(previous, next, &from, &guesses)) {
             found[k] = returned.and_then(|returned| {
-                let is_same = returned.round_trip_px <= self.options.max_round_trip_px
-                    && returned.difference <= self.options.max_difference;
+                let is_same = returned.round_trip_px <= MAX_ROUND_TRIP_PX && returned.difference <= MAX_DIFFERENCE;
                 (is_same && self.is_inside(returned.position)).then_some(returned.position)
             });
         }
@@ -181,8 +197,8 @@ impl PointFollower {
 
     fn method(&self) -> LucasKanade {
         LucasKanade {
-            window_radius_px: self.options.window_radius_px.max(1) as usize,
-            num_smaller: self.options.pyramid_levels.max(0) as usize,
+            window_radius_px: WINDOW_RADIUS_PX,
+            num_smaller: PYRAMID_LEVELS,
             max_steps: 12,
             converged_px: 0.03,
             min_eigenvalue: 1e-4,
@@ -196,7 +212,7 @@ impl PointFollower {
 
     /// Of points that have come together, the one that was found first stays: others slid along an edge.
     fn drop_crowded(&mut self) {
-        let bin_px = 0.3 * self.options.spacing_px as f32;
+        let bin_px = 0.3 * SPACING_PX as f32;
         let cols = (self.work.0 as f32 / bin_px) as usize + 1;
         let rows = (self.work.1 as f32 / bin_px) as usize + 1;
         let mut taken = vec![false; rows * cols];
@@ -215,13 +231,13 @@ impl PointFollower {
     fn find_new(&mut self, strength: &CornerStrength) {
         let corners = self.corners(strength);
         let mut strengths: Vec<f64> = corners.iter().map(|corner| f64::from(corner.1)).collect();
-        let least = self.options.quality * lower_quantile(&mut strengths, 0.9).unwrap_or(0.0) as f32;
+        let least = QUALITY * lower_quantile(&mut strengths, 0.9).unwrap_or(0.0) as f32;
         let taken = self.taken_cells();
         let is_free = |p: Point2<f32>| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
         let mut new: Vec<(Point2<f32>, f32)> =
             corners.into_iter().filter(|(p, s)| *s > least && *s > 1e-6 && is_free(*p)).collect();
         new.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let room = self.options.max_points.saturating_sub(self.live.len());
+        let room = MAX_POINTS.saturating_sub(self.live.len());
         let first = self.num_frames;
         self.live.extend(new.into_iter().take(room).map(|(p, _)| Live { first, positions: vec![p] }));
     }
@@ -230,8 +246,8 @@ impl PointFollower {
     fn corners(&self, strength: &CornerStrength) -> Vec<(Point2<f32>, f32)> {
         let (cols, rows) = self.grid();
         let mut best = vec![(Point2::origin(), 0.0f32); cols * rows];
-        let border = self.options.window_radius_px.max(2) as usize;
-        let spacing = self.options.spacing_px as usize;
+        let border = WINDOW_RADIUS_PX;
+        let spacing = SPACING_PX as usize;
         for y in border..strength.num_rows().saturating_sub(border) {
             let cells = &mut best[y / spacing * cols..][..cols];
             let row = &strength.row(y)[..strength.num_cols().saturating_sub(border)];
@@ -256,20 +272,20 @@ impl PointFollower {
     }
 
     fn grid(&self) -> (usize, usize) {
-        let cells = |side: u32| side.div_ceil(self.options.spacing_px) as usize;
+        let cells = |side: u32| side.div_ceil(SPACING_PX) as usize;
         (cells(self.work.0), cells(self.work.1))
     }
 
     fn cell(&self, p: Point2<f32>) -> usize {
         let (cols, rows) = self.grid();
-        let spacing = self.options.spacing_px as f32;
+        let spacing = SPACING_PX as f32;
         let at = |x: f32, cells: usize| ((x.max(0.0) / spacing) as usize).min(cells - 1);
         at(p.y, rows) * cols + at(p.x, cols)
     }
 
     /// Keeps what was seen often enough, in pixels of the whole frame.
     fn end(&mut self, point: Live) {
-        if point.positions.len() < self.options.min_track_length {
+        if point.positions.len() < MIN_TRACK_LENGTH {
             return;
         }
         let scale = [self.size.0 as f32 / self.work.0 as f32, self.size.1 as f32 / self.work.1 as f32];

@@ -2,7 +2,13 @@
 
 use std::collections::BTreeMap;
 
-use super::{MoverOptions, PointTrack, Surroundings, TrackLabel, Verdict};
+use super::follower::{MAX_SIDE_PX, SPACING_PX};
+use super::{PointTrack, Surroundings, TrackLabel, Verdict};
+
+/// Shortest time that the points of a mover move together, seconds. Of a shorter clip, two thirds of it.
+const MIN_LIFE_S: f64 = 1.0;
+/// Largest distance of neighbours, in cells of the follower's grid.
+const REACH: f64 = 3.5;
 
 /// Lengths and times in the units of the frames at hand.
 #[derive(Clone, Copy, Debug)]
@@ -20,16 +26,16 @@ pub(super) struct Scales {
 }
 
 impl Scales {
-    pub fn new(surroundings: &Surroundings, spacing_px: f64, max_side_px: u32, options: &MoverOptions) -> Self {
+    pub fn new(surroundings: &Surroundings) -> Self {
         let longer = f64::from(surroundings.size.0.max(surroundings.size.1));
-        let pixel = (longer / f64::from(max_side_px.max(1))).max(1.0);
+        let pixel = (longer / f64::from(MAX_SIDE_PX)).max(1.0);
         let times = surroundings.times_s;
         let length_s = times.last().zip(times.first()).map_or(0.0, |(last, first)| last - first).max(1e-9);
         let per_second = times.len().saturating_sub(1) as f64 / length_s;
         let frames = |seconds: f64| (seconds * per_second).round().clamp(1.0, 1e6) as u32;
-        let life = frames(options.min_life_s).min((2 * times.len() as u32) / 3);
+        let life = frames(MIN_LIFE_S).min((2 * times.len() as u32) / 3);
         Self {
-            reach_px: options.reach * spacing_px * pixel,
+            reach_px: REACH * f64::from(SPACING_PX) * pixel,
             pixel,
             stride: frames(0.15),
             second: frames(1.0).max(2),

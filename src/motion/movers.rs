@@ -4,8 +4,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use serde::{Deserialize, Serialize};
 
+use super::classify::MIN_DEVIATION_PX;
+use super::follower::SPACING_PX;
 use super::groups::{Neighbourhood, Scales, connected, looks, moving_company};
-use super::{Evidence, MotionOptions, PointTrack, Surroundings, TrackLabel, Verdict};
+use super::{Evidence, PointTrack, Surroundings, TrackLabel, Verdict};
 use crate::math::upper_median;
 use crate::scene::Rect;
 
@@ -33,24 +35,36 @@ impl Mover {
     }
 }
 
+/// Fewest points that make a vehicle.
+const MIN_POINTS: usize = 4;
+/// Maximum change of the offset of two neighbors in a second, relative to its length.
+const MAX_CHANGE: f64 = 0.3;
+/// Radius round a point in which other moving points support it, in cells of the follower's grid.
+const COMPANY_CELLS: f64 = 2.0;
+/// Smallest part of the points round one that moves which move, too.
+const MIN_COMPANY: f64 = 0.4;
+/// Smallest part of the points in the middle of a box which belong to the mover.
+const MIN_PURITY: f64 = 0.75;
+/// Minimum residual of its points against static ones, relative to its size: foliage in the wind and points that slide
+/// along an edge stay below.
+const MIN_DEVIATION: f64 = 0.25;
+/// Smallest side of a box, pixels.
+const MIN_SIDE_PX: f64 = 8.0;
+/// Smallest confidence of a mover, 0 to 1.
+const MIN_CONFIDENCE: f64 = 0.5;
+
 /// Joins tracks that move to movers, surest first.
 ///
 /// `labels` are those of `tracks`. Points that do not move by themselves alone join a mover if they go with its points
 /// and do not stand on the ground.
-pub fn movers(
-    tracks: &[PointTrack],
-    labels: &[TrackLabel],
-    surroundings: &Surroundings,
-    options: &MotionOptions,
-) -> Vec<Mover> {
-    let spacing = f64::from(options.follower.spacing_px);
-    let scales = Scales::new(surroundings, spacing, options.follower.max_side_px, &options.movers);
-    let company = moving_company(tracks, labels, &scales, options.movers.company_cells * spacing * scales.pixel);
+pub fn movers(tracks: &[PointTrack], labels: &[TrackLabel], surroundings: &Surroundings) -> Vec<Mover> {
+    let scales = Scales::new(surroundings);
+    let company = moving_company(tracks, labels, &scales, COMPANY_CELLS * f64::from(SPACING_PX) * scales.pixel);
     let looks = looks(tracks, 0..tracks.len(), scales.stride);
-    let maker = Maker { tracks, labels, company, looks, scales, options };
+    let maker = Maker { tracks, labels, company, looks, scales };
     let mut found: Vec<Mover> = maker.groups().iter().flat_map(|group| maker.movers_of(group, surroundings)).collect();
     found = maker.merged(found, surroundings);
-    found.retain(|mover| mover.confidence >= options.movers.min_confidence);
+    found.retain(|mover| mover.confidence >= MIN_CONFIDENCE);
     found.sort_by(|a, b| b.confidence.total_cmp(&a.confidence).then(a.tracks.cmp(&b.tracks)));
     found
 }
@@ -63,17 +77,15 @@ struct Maker<'a> {
     /// Tracks that are seen in the frames that are looked at.
     looks: BTreeMap<u32, Vec<usize>>,
     scales: Scales,
-    options: &'a MotionOptions,
 }
 
 impl Maker<'_> {
     /// Tracks that belong together.
     fn groups(&self) -> Vec<Vec<usize>> {
         let chosen: Vec<usize> = (0..self.tracks.len()).filter(|&k| self.may_belong(k)).collect();
-        let max_change = self.options.movers.max_change;
-        let neighbourhood = Neighbourhood { tracks: self.tracks, scales: self.scales, max_change };
+        let neighbourhood = Neighbourhood { tracks: self.tracks, scales: self.scales, max_change: MAX_CHANGE };
         let pairs = neighbourhood.pairs(&chosen);
-        let moving = |k: &usize| self.labels[*k].is_moving() && self.company[*k] >= self.options.movers.min_company;
+        let moving = |k: &usize| self.labels[*k].is_moving() && self.company[*k] >= MIN_COMPANY;
         let between_moving: Vec<_> = pairs.iter().copied().filter(|(i, j)| moving(i) && moving(j)).collect();
         let mut groups = connected(&between_moving);
         self.absorb(&mut groups, &pairs);
@@ -83,7 +95,7 @@ impl Maker<'_> {
     /// Returns true if a track can be one of a mover's: it moves, or it is clearly no point of the ground.
     fn may_belong(&self, k: usize) -> bool {
         let label = &self.labels[k];
-        let is_off_ground = label.deviation_px >= 2.0 * self.options.evidence.min_deviation_px * self.scales.pixel;
+        let is_off_ground = label.deviation_px >= 2.0 * MIN_DEVIATION_PX * self.scales.pixel;
         label.is_moving() || (is_off_ground && label.verdict != Verdict::Fixed)
     }
 
@@ -101,12 +113,11 @@ impl Maker<'_> {
     fn parts(&self, group: &[usize]) -> Vec<Vec<usize>> {
         // A scale between that of the group and that of a single point.
         const CLOSER: f64 = 0.6;
-        let options = &self.options.movers;
-        let least_company = 1.0 - CLOSER * (1.0 - options.min_company);
+        let least_company = 1.0 - CLOSER * (1.0 - MIN_COMPANY);
         let is_core = |k: &usize| self.labels[*k].is_moving() && self.company[*k] >= least_company;
         let core: Vec<usize> = group.iter().copied().filter(is_core).collect();
         let scales = Scales { reach_px: CLOSER * self.scales.reach_px, ..self.scales };
-        let neighbourhood = Neighbourhood { tracks: self.tracks, scales, max_change: CLOSER * options.max_change };
+        let neighbourhood = Neighbourhood { tracks: self.tracks, scales, max_change: CLOSER * MAX_CHANGE };
         connected(&neighbourhood.pairs(&core))
     }
 
@@ -136,16 +147,16 @@ impl Maker<'_> {
         let group = &self.without_strays(group, &mut self.boxes(group, surroundings.size));
         let moving: Vec<&TrackLabel> = group.iter().map(|&k| &self.labels[k]).filter(|l| l.is_moving()).collect();
         let boxes = self.boxes(group, surroundings.size);
-        if moving.len() < self.options.movers.min_points || boxes.len() < self.scales.life as usize {
+        if moving.len() < MIN_POINTS || boxes.len() < self.scales.life as usize {
             return None;
         }
         let deviation_px = upper_quartile(moving.iter().map(|label| label.deviation_px).collect())?;
         let side_px = upper_median(boxes.values().map(|b| b.area_px2().sqrt()).collect())?;
-        if side_px < self.options.movers.min_side_px || deviation_px < self.least_deviation(side_px) {
+        if side_px < MIN_SIDE_PX || deviation_px < self.least_deviation(side_px) {
             return None;
         }
         let purity = self.purity(group, &boxes);
-        if purity < self.options.movers.min_purity {
+        if purity < MIN_PURITY {
             return None;
         }
         if self.is_fixed(&GroupTrajectory::new(self.tracks, group)) {
@@ -213,7 +224,7 @@ impl Maker<'_> {
 
     /// Maximum displacement of foliage in the wind; pixels.
     fn least_deviation(&self, side_px: f64) -> f64 {
-        (3.0 * self.scales.pixel).max(self.options.movers.min_deviation * side_px)
+        (3.0 * self.scales.pixel).max(MIN_DEVIATION * side_px)
     }
 
     /// Median residual of the group's points, within a second, from a similarity motion of the whole, pixels (eq. 11);
@@ -225,7 +236,7 @@ impl Maker<'_> {
             let to = from + self.scales.second.min(self.scales.life) - 1;
             let both = group.iter().filter_map(|&k| Some((self.tracks[k].at(from)?, self.tracks[k].at(to)?)));
             let both: Vec<_> = both.collect();
-            if both.len() >= self.options.movers.min_points {
+            if both.len() >= MIN_POINTS {
                 residuals.extend(similarity_residuals(&both));
             }
         }
@@ -267,7 +278,7 @@ impl Maker<'_> {
             let cut = values.len() / 50;
             Some((*values.get(cut)?, *values.get(values.len() - 1 - cut)?))
         };
-        let margin = 0.5 * f64::from(self.options.follower.spacing_px) * self.scales.pixel;
+        let margin = 0.5 * f64::from(SPACING_PX) * self.scales.pixel;
         let ((x0, x1), (y0, y1)) = (side(0)?, side(1)?);
         Some(Rect { x0: x0 - margin, y0: y0 - margin, x1: x1 + margin, y1: y1 + margin })
     }

@@ -2,8 +2,8 @@
 
 use super::world::{Flight, Plan, World, world};
 use super::{
-    Judgement, MotionOptions, MovementReason, Mover, PointOnObject, PointTrack, Surroundings, TrackLabel, Verdict,
-    classify, judge, judge_pieces, movers,
+    Judgement, MovementReason, Mover, PointOnObject, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge,
+    judge_pieces, movers,
 };
 use crate::scene::{Movement, Rect};
 
@@ -12,9 +12,8 @@ fn look(world: &World) -> (Vec<TrackLabel>, Vec<Mover>) {
 }
 
 fn look_with(world: &World, surroundings: &Surroundings) -> (Vec<TrackLabel>, Vec<Mover>) {
-    let options = MotionOptions::default();
-    let labels = classify(&world.tracks, surroundings, &options.evidence);
-    let found = movers(&world.tracks, &labels, surroundings, &options);
+    let labels = classify(&world.tracks, surroundings);
+    let found = movers(&world.tracks, &labels, surroundings);
     (labels, found)
 }
 
@@ -29,7 +28,7 @@ fn rates(world: &World, labels: &[TrackLabel]) -> (f64, f64) {
 
 /// The judgement on the vehicle.
 fn judged(world: &World) -> Judgement {
-    let labels = classify(&world.tracks, &world.surroundings(), &MotionOptions::default().evidence);
+    let labels = classify(&world.tracks, &world.surroundings());
     let own = (0..labels.len()).filter(|&k| world.is_vehicle[k]);
     let point = |k: usize| {
         let (track, label) = (&world.tracks[k], &labels[k]);
@@ -116,7 +115,7 @@ fn a_parked_vehicle_stands() {
 #[test]
 fn a_track_with_gaps_is_stationary_only_if_every_piece_is() {
     let world = world(&plan(HIGH, [40.0, 2.0], [0.0, 0.0]));
-    let labels = classify(&world.tracks, &world.surroundings(), &MotionOptions::default().evidence);
+    let labels = classify(&world.tracks, &world.surroundings());
     let point = |k: usize| {
         let (track, label) = (&world.tracks[k], &labels[k]);
         PointOnObject { track, label, inside: 1.0, foot: world.foot(track, label) }

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 
-use super::{ContactDepth, EvidenceOptions, GroundModel, PointTrack, Surroundings, TrackLabel, View};
+use super::{ContactDepth, GroundModel, PointTrack, Surroundings, TrackLabel, View};
 use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, seeded_rng};
 use crate::scene::Rect;
@@ -95,8 +95,7 @@ impl World {
         });
         let bottom = edge.map(|p| p.y).max_by(f64::total_cmp)?;
         let last = f64::from(SIZE.1);
-        let tolerance = EvidenceOptions::default().ground_tolerance;
-        self.ground.foot(&view, [x, bottom.min(last)], bottom >= last, &point, tolerance)
+        self.ground.foot(&view, [x, bottom.min(last)], bottom >= last, &point)
     }
 }
 

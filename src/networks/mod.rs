@@ -20,7 +20,7 @@ mod tensor;
 
 pub use self::description::{ModelDescription, Preprocessing};
 pub use self::error::PerceptionError;
-pub use self::flow::{DisFlow, FlowEstimator, FlowOptions, OnnxFlow, load_flow};
+pub use self::flow::{DisFlow, FlowEstimator, OnnxFlow, load_flow};
 pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
 pub use self::prompt::{
     BoxMask, BoxSegmenter, GrabCut, KnownMasks, PromptOptions, load_box_segmenter, load_small_box_segmenter,

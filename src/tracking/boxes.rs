@@ -13,12 +13,14 @@ use super::propagation::{Propagated, carry_rect};
 use super::region::Region;
 use super::track::{Moment, Prediction, PromptOutcome, Track};
 use super::tracker::{MAX_COVERED, TrackObservation, Tracker};
-use super::{DetectedBox, Evidence, TrackerOptions};
+use super::{DetectedBox, Evidence, MIN_AREA_PX2, MIN_SIMILARITY, TrackerOptions};
 use crate::networks::{BoxSegmenter, PerceptionError};
 use crate::scene::{Flow, ObjectId, Outline, Rect};
 
 /// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
 const MIN_BOX_OVERLAP: f64 = 0.4;
+/// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
+const MIN_CARRIED_SHARE: f64 = 0.4;
 /// Two masks of which one lies in the other by more than this share show one object.
 const SAME_MASK: f64 = 0.7;
 /// A new mask that agrees so well with the outline of the whole object shows all of it.
@@ -147,10 +149,10 @@ impl Tracker {
     /// Returns true if the propagated mask of a followed object may be the object's.
     fn is_trusted(&self, track: &Track, prediction: &Prediction, image: &RgbImage) -> bool {
         prediction.carried.as_ref().filter(|_| !track.is_lost()).is_some_and(|carried| {
-            carried.share >= self.options.min_carried_share
-                && carried.region.area() >= self.options.min_area_px2
+            carried.share >= MIN_CARRIED_SHARE
+                && carried.region.area() >= MIN_AREA_PX2
                 && !carried.is_nearly_hidden()
-                && looks_like(track, image, &carried.region, self.options.min_similarity)
+                && looks_like(track, image, &carried.region)
         })
     }
 
@@ -253,7 +255,7 @@ impl Tracker {
         outline: Outline,
     ) -> Option<Evidence> {
         let Some(fresh) = choice.fresh else {
-            let is_worn_out = self.tracks[track_idx].is_worn_out(&self.options);
+            let is_worn_out = self.tracks[track_idx].is_worn_out();
             let asked = if meeting.is_at_rest[track_idx] { PromptOutcome::Not } else { PromptOutcome::InVain };
             return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, asked, view));
         };
@@ -303,8 +305,7 @@ impl Tracker {
         let pairs = assign(rows.len(), columns.len(), |row, column| {
             let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[columns[column]]);
             let fresh = meeting.masks[columns[column]].as_ref().filter(|fresh| !is_explained(&fresh.region, seen))?;
-            let min_similarity = self.options.min_similarity;
-            let recognised = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now, min_similarity)?;
+            let recognised = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now)?;
             track.may_be(sight.class()).then_some(recognised.score)
         });
         let mut again: Vec<TrackObservation> = Vec::new();
@@ -446,9 +447,9 @@ fn uncovered(fresh: Fresh, carried: &Propagated) -> Option<Fresh> {
 }
 
 /// Returns true if the colors of a region match those of a track; unknown ones count as a match.
-fn looks_like(track: &Track, image: &RgbImage, region: &Region, min_similarity: f64) -> bool {
+fn looks_like(track: &Track, image: &RgbImage, region: &Region) -> bool {
     let looks = track.appearance.as_ref().zip(Appearance::of(image, region));
-    looks.is_none_or(|(before, now)| before.similarity(&now) >= min_similarity)
+    looks.is_none_or(|(before, now)| before.similarity(&now) >= MIN_SIMILARITY)
 }
 
 /// Returns true if a mask shows the object of another track.

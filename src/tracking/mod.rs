@@ -16,7 +16,7 @@
 //!   lost ones by place and appearance.
 //! - *Update* (`choice.rs`, `track.rs`): of the new masks and the carried one an object gets the one that fits its
 //!   size, colours, place and box best. No two objects get the same. A mask may fail twice in a row; then the object
-//!   is lost once its mask is older than [`TrackerOptions::max_carried`] frames. A new mask is carried back to the
+//!   is lost once its mask is older than `MAX_CARRIED` frames. A new mask is carried back to the
 //!   frames that are nearer to it than to the last one (`retrace.rs`): [`Tracker::take_corrections`].
 //! - *Confirmation*: the third box gives an id, whenever it comes, if the object was never lost. Every mask is reported
 //!   at once under a provisional id; [`Tracker::finish`] relates them to objects.
@@ -238,29 +238,21 @@ pub struct TrackerOptions {
     /// A track starts with what only moves if motion is at least so sure of it: trees, poles and reflections move, too.
     #[schemars(extend("unit" = "0 to 1"))]
     pub start_motion: f64,
-    /// Detections with fewer pixels are skipped.
-    pub min_area_px2: usize,
     /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
     #[schemars(extend("unit" = "share"))]
     pub min_overlap: f64,
     /// Detections that give an object its lasting id.
     #[schemars(extend("unit" = "detections"))]
     pub min_detections: usize,
-    /// Frames for which a mask is carried without a detection. Frames in which nobody asks for a mask do not count.
-    #[schemars(extend("unit" = "frames"))]
-    pub max_carried: usize,
     /// Seconds for which the mask of what stands serves before a new one is asked for; at 0 it is asked for as often as
     /// those of all others.
     pub max_rest_secs: f64,
-    /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
-    #[schemars(extend("unit" = "share"))]
-    pub min_carried_share: f64,
-    /// Seconds for which a lost object may be taken up again, or a new one be linked to it.
-    pub max_lost_secs: f64,
-    /// Similarity of colours (Bhattacharyya coefficient) that a lost object must have to be found again.
-    #[schemars(extend("unit" = "0 to 1"))]
-    pub min_similarity: f64,
 }
+
+/// Detections with fewer pixels are skipped.
+const MIN_AREA_PX2: usize = 40;
+/// Similarity of colours (Bhattacharyya coefficient) that a lost object must have to be found again.
+const MIN_SIMILARITY: f64 = 0.6;
 
 /// Vehicles, in the words of COCO, Cityscapes and the common drone data sets.
 const VEHICLES: [&str; 12] = [
@@ -285,14 +277,9 @@ impl Default for TrackerOptions {
             start_confidence: 0.35,
             start_standing: support::SURE_OF_STANDING,
             start_motion: 0.85,
-            min_area_px2: 40,
             min_overlap: 0.2,
             min_detections: 3,
-            max_carried: 8,
             max_rest_secs: 1.0,
-            min_carried_share: 0.4,
-            max_lost_secs: 3.0,
-            min_similarity: 0.6,
         }
     }
 }
@@ -307,13 +294,8 @@ impl TrackerOptions {
         within("start_confidence", self.start_confidence, 0.0..=1.0)?;
         within("start_standing", self.start_standing, 0.0..=1.0)?;
         within("start_motion", self.start_motion, 0.0..=1.0)?;
-        within("min_area_px2", self.min_area_px2, 0..=1 << 30)?;
         within("min_overlap", self.min_overlap, 0.0..=1.0)?;
         within("min_detections", self.min_detections, 1..=1_000_000)?;
-        within("max_carried", self.max_carried, 0..=1_000_000)?;
-        within("max_rest_secs", self.max_rest_secs, 0.0..=1e9)?;
-        within("min_carried_share", self.min_carried_share, 0.0..=1.0)?;
-        within("max_lost_secs", self.max_lost_secs, 0.0..=1e9)?;
-        within("min_similarity", self.min_similarity, 0.0..=1.0)
+        within("max_rest_secs", self.max_rest_secs, 0.0..=1e9)
     }
 }

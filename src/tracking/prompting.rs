@@ -7,7 +7,7 @@
 
 use ::image::RgbImage;
 
-use super::TrackerOptions;
+use super::MIN_AREA_PX2;
 use super::appearance::Appearance;
 use super::box_groups::BoxGroup;
 use super::boxes::{FrameView, Meeting, may_start};
@@ -35,7 +35,7 @@ impl Tracker {
         let mut rects: Vec<Rect> = asked.iter().map(|&s| meeting.sights[s].rect).collect();
         let own = self.own_boxes(view, meeting, &rects);
         rects.extend(own.iter().map(|(_, rect)| *rect));
-        let mut masks = fresh_masks(view.image, prompter, &rects, &self.options)?;
+        let mut masks = fresh_masks(view.image, prompter, &rects)?;
         let own_masks = masks.split_off(asked.len());
         meeting.masks = vec![None; meeting.sights.len()];
         asked.into_iter().zip(masks).for_each(|(s, fresh)| meeting.masks[s] = fresh);
@@ -103,7 +103,6 @@ pub(super) fn fresh_masks(
     image: &RgbImage,
     prompter: &mut dyn BoxSegmenter,
     rects: &[Rect],
-    options: &TrackerOptions,
 ) -> Result<Vec<Option<Fresh>>, PerceptionError> {
     let mut answers = if rects.is_empty() { Vec::new() } else { prompter.masks(image, rects)? };
     answers.resize(rects.len(), None);
@@ -113,7 +112,7 @@ pub(super) fn fresh_masks(
         if found != expected {
             return Err(PerceptionError::SizeMismatch { what: "the mask of a box".to_owned(), expected, found });
         }
-        let region = Region::from_mask(&mask).filter(|region| region.area() >= options.min_area_px2);
+        let region = Region::from_mask(&mask).filter(|region| region.area() >= MIN_AREA_PX2);
         Ok(region.map(|region| Fresh { appearance: Appearance::of(image, &region), quality, region }))
     };
     answers.into_iter().map(fresh).collect()

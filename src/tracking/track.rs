@@ -12,7 +12,7 @@ use super::region::Region;
 use super::retrace::Way;
 use super::support::MIN_FRAMES;
 use super::track_statistics::Ledger;
-use super::{BoxSource, ConfirmedObject, Predecessor, TrackSummary, TrackerOptions};
+use super::{BoxSource, ConfirmedObject, MIN_SIMILARITY, Predecessor, TrackSummary, TrackerOptions};
 use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outline, Rect};
 
 /// Share of the way that velocity and looks move towards each new measurement.
@@ -22,6 +22,10 @@ const LEARNING_RATE: f64 = 0.4;
 const MAX_UNBOXED_LOOKS: usize = 30;
 /// Frames with masks asked for in which all may fail before a track that is carried counts as lost.
 const MAX_FAILED_PROMPTS: usize = 2;
+/// Frames for which a mask is carried without a detection. Frames in which nobody asks for a mask do not count.
+const MAX_CARRIED: usize = 8;
+/// Seconds for which a lost object may be taken up again, or a new one be linked to it.
+const MAX_LOST_SECS: f64 = 3.0;
 /// A mask that covers this share of the whole outline shows all of the object.
 const MOSTLY_SEEN: f64 = 0.85;
 /// Of an object whose flow failed this much must have been seen, and a mask must show as much, where it is looked for.
@@ -296,9 +300,9 @@ impl Track {
     }
 
     /// Returns true if so many masks failed that the propagated one is unusable.
-    pub(super) fn is_worn_out(&self, options: &TrackerOptions) -> bool {
+    pub(super) fn is_worn_out(&self) -> bool {
         let frames = self.frames_carried();
-        self.num_failed > MAX_FAILED_PROMPTS && frames >= options.max_carried
+        self.num_failed > MAX_FAILED_PROMPTS && frames >= MAX_CARRIED
     }
 
     /// Frames since the mask was new.
@@ -374,10 +378,10 @@ impl Track {
     }
 
     /// Returns true if the track ends: a tentative one that was not confirmed in time, a lost one that did not return.
-    pub(super) fn is_over(&self, now: Moment, options: &TrackerOptions) -> bool {
+    pub(super) fn is_over(&self, now: Moment) -> bool {
         match self.presence {
             _ if self.id.is_none() => self.is_lost() || now.count - self.last_boxed > MAX_UNBOXED_LOOKS,
-            Presence::Lost(since) => self.is_succeeded || now.time_s - since > options.max_lost_secs,
+            Presence::Lost(since) => self.is_succeeded || now.time_s - since > MAX_LOST_SECS,
             _ => false,
         }
     }
@@ -388,7 +392,6 @@ impl Track {
         region: &Region,
         appearance: Option<&Appearance>,
         now: Moment,
-        min_similarity: f64,
     ) -> Option<Recognised> {
         let similarity = self.appearance.as_ref()?.similarity(appearance?);
         let lost_s = (now.time_s - self.last_detected.time_s).max(0.0);
@@ -397,7 +400,7 @@ impl Track {
         let [dx, dy] = difference(region.centre(), self.region.centre());
         let nearness = 1.0 - dx.hypot(dy) / reach;
         let ratio = region.area() as f64 / self.ledger.mean_area().max(1.0);
-        let fits = similarity >= min_similarity && nearness > 0.0 && is_same_size(ratio);
+        let fits = similarity >= MIN_SIMILARITY && nearness > 0.0 && is_same_size(ratio);
         let evidence = IdentityEvidence {
             place: Some(1.0 - nearness),
             colours: Some(similarity.min(1.0)),

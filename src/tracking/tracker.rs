@@ -200,7 +200,7 @@ impl Tracker {
     /// Remembers that a track which is about to be found again was lost.
     pub(super) fn note_gap(&mut self, track_idx: usize, region: &Region, appearance: Option<&Appearance>, now: Moment) {
         let track = &mut self.tracks[track_idx];
-        let recognised = track.recognise(region, appearance, now, self.options.min_similarity);
+        let recognised = track.recognise(region, appearance, now);
         if let Some(recognised) = recognised.filter(|_| track.is_lost()) {
             track.remember_gap(recognised.evidence, now);
         }
@@ -210,7 +210,7 @@ impl Tracker {
     pub(super) fn add(&mut self, mut track: Track, appearance: Option<&Appearance>, now: Moment) {
         let recognised = |lost: &Track| {
             let may_be = lost.may_be_succeeded(now) && lost.may_be(Some(track.class()));
-            let found = lost.recognise(&track.region, appearance, now, self.options.min_similarity);
+            let found = lost.recognise(&track.region, appearance, now);
             found.filter(|_| may_be)
         };
         let lost = self.tracks.iter().enumerate().filter_map(|(idx, lost)| Some((idx, recognised(lost)?)));
@@ -266,11 +266,11 @@ impl Tracker {
                 track.id = Some(ObjectId(self.num_confirmed));
             }
         }
-        let (options, finished) = (&self.options, &mut self.finished);
+        let finished = &mut self.finished;
         self.tracks.retain(|track| {
             let gone =
                 matches!(track.presence, Presence::Lost(_)) && leaves(track.region.bounds(), [0.0; 2], width, height);
-            let over = gone || track.is_over(now, options);
+            let over = gone || track.is_over(now);
             if over {
                 finished.extend(track.summary());
             }

@@ -14,6 +14,7 @@ use std::collections::{BTreeMap, VecDeque};
 
 use nalgebra::Matrix3;
 
+use super::follower::MAX_SIDE_PX;
 use super::{Mover, Surroundings, View};
 use crate::image::{ImageError, RgbImage, blurred, resize_rgb_quickly, scale_to_fit};
 use crate::scene::Rect;
@@ -67,12 +68,10 @@ struct Look {
 }
 
 impl<'a> DifferenceDetector<'a> {
-    /// Nothing seen yet.
-    ///
-    /// * `max_side_px` – longer side at which frames are compared; larger ones are shrunk.
-    pub fn new(surroundings: Surroundings<'a>, max_side_px: u32) -> Self {
+    /// Nothing seen yet. Larger frames are shrunk as for the follower.
+    pub fn new(surroundings: Surroundings<'a>) -> Self {
         let (width, height) = surroundings.size;
-        let work = scale_to_fit(width, height, max_side_px);
+        let work = scale_to_fit(width, height, MAX_SIDE_PX);
         Self { surroundings, work, looks: VecDeque::new(), num_done: 0, median: None, linker: Linker::default() }
     }
 

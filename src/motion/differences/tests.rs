@@ -62,7 +62,7 @@ fn detected(things: &[Thing], brightness: fn(u32) -> f64) -> Vec<MovingObject> {
     let views = views();
     let times_s: Vec<f64> = (0..NUM_FRAMES).map(|k| STEP_S * f64::from(k)).collect();
     let surroundings = Surroundings { size: SIZE, times_s: &times_s, views: &views, ground: None };
-    let mut detector = DifferenceDetector::new(surroundings, 640);
+    let mut detector = DifferenceDetector::new(surroundings);
     for (frame, view) in (0..NUM_FRAMES).zip(views.iter().flatten()) {
         // Every third frame is looked at.
         if frame % 3 == 0 || frame + 1 == NUM_FRAMES {
@@ -111,7 +111,7 @@ fn brightness_that_changes_moves_nothing() {
 #[test]
 fn no_frames_show_nothing() {
     let surroundings = Surroundings { size: SIZE, times_s: &[], views: &[], ground: None };
-    let mut detector = DifferenceDetector::new(surroundings, 640);
+    let mut detector = DifferenceDetector::new(surroundings);
     detector.push(0, &RgbImage::new(SIZE.0, SIZE.1)).unwrap();
     assert_eq!(detector.finish().unwrap(), []);
 }

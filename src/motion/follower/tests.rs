@@ -25,7 +25,7 @@ fn picture(wall: &GrayImage, k: u32) -> GrayImage {
 }
 
 fn follower() -> PointFollower {
-    PointFollower::new(&FollowerOptions::default(), SIZE)
+    PointFollower::new(SIZE)
 }
 
 #[test]

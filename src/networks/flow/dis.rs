@@ -7,7 +7,7 @@ use opencv::prelude::*;
 use opencv::video::{DISOpticalFlow, DISOpticalFlow_PRESET_FAST};
 
 use super::parts::{Part, PartFlow, nothing};
-use super::{Field, FlowEstimator, FlowOptions, check_sizes, consistent};
+use super::{Field, FlowEstimator, check_sizes, consistent};
 use crate::image::{borrowed_gray, gray_from_rgb, resize_gray, scale_to_fit};
 use crate::math::upper_median;
 use crate::networks::PerceptionError;
@@ -27,7 +27,6 @@ const FRAME_PX: u32 = 256;
 
 /// OpenCV's DIS flow.
 pub struct DisFlow {
-    options: FlowOptions,
     algorithm: Ptr<DISOpticalFlow>,
 }
 
@@ -36,11 +35,11 @@ impl DisFlow {
     ///
     /// # Errors
     /// [`PerceptionError::OpenCv`] if OpenCV cannot.
-    pub fn new(options: &FlowOptions) -> Result<Self, PerceptionError> {
+    pub fn new() -> Result<Self, PerceptionError> {
         let mut algorithm = DISOpticalFlow::create(DISOpticalFlow_PRESET_FAST)?;
         // Down to half of the resolution: the preset ends at a quarter.
         algorithm.set_finest_scale(1)?;
-        Ok(Self { options: options.clone(), algorithm })
+        Ok(Self { algorithm })
     }
 
     fn estimate(&mut self, from: &GrayImage, to: &GrayImage) -> Result<Field, PerceptionError> {
@@ -75,7 +74,7 @@ impl DisFlow {
         let to = resize_gray(&part.cut_shifted(to), width, height)?;
         let forward = self.estimate(&from, &to)?;
         let backward = self.estimate(&to, &from)?;
-        let consistent = consistent(&forward, &backward, &self.options);
+        let consistent = consistent(&forward, &backward);
         Ok(Some(PartFlow { part, forward, consistent }))
     }
 }
@@ -156,7 +155,7 @@ mod tests {
     }
 
     fn dis() -> DisFlow {
-        DisFlow::new(&FlowOptions::default()).unwrap()
+        DisFlow::new().unwrap()
     }
 
     #[test]

@@ -12,14 +12,11 @@ mod parts;
 use std::path::Path;
 
 use ::image::RgbImage;
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
 
 pub use self::dis::DisFlow;
 pub use self::network::OnnxFlow;
+use super::PerceptionError;
 use super::tensor::Between;
-use super::{INPUT_SIZES, PerceptionError};
-use crate::checks::{Checked, within};
 use crate::ffi::onnx::Resources;
 use crate::scene::{Flow, Rect};
 
@@ -33,54 +30,25 @@ pub trait FlowEstimator {
     fn flow(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError>;
 }
 
-/// Options of optical flow.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(deny_unknown_fields, default)]
-pub struct FlowOptions {
-    /// A flow network takes frames with a longer side shrunk to this many pixels; the flow is given at full size.
-    #[schemars(extend("unit" = "pixels"))]
-    pub max_dimension: u32,
-    /// Share α of the squared lengths of both flows that the way there and back may miss by.
-    #[schemars(extend("unit" = "share"))]
-    pub consistency_relative: f32,
-    /// Squared pixels β, at the size of the estimate, that the way there and back may miss by in any case.
-    pub consistency_absolute_px2: f32,
-}
-
-impl Default for FlowOptions {
-    fn default() -> Self {
-        Self { max_dimension: 960, consistency_relative: 0.01, consistency_absolute_px2: 0.5 }
-    }
-}
-
-impl FlowOptions {
-    /// Rejects what cannot be worked with.
-    ///
-    /// # Errors
-    /// [`OptionError`](crate::checks::OptionError) names the option.
-    pub fn check(&self) -> Checked {
-        within("max_dimension", self.max_dimension, INPUT_SIZES)?;
-        // |f + b|² is never more than twice |f|² + |b|².
-        within("consistency_relative", self.consistency_relative, 0.0..=2.0)?;
-        within("consistency_absolute_px2", self.consistency_absolute_px2, 0.0..=1e6)
-    }
-}
+/// Longer side at which a flow network takes frames, pixels; larger ones are shrunk, and the flow is given at full size.
+const MAX_DIMENSION: u32 = 960;
+/// Share α of the squared lengths of both flows that the way there and back may miss by.
+const CONSISTENCY_RELATIVE: f32 = 0.01;
+/// Squared pixels β, at the size of the estimate, that the way there and back may miss by in any case.
+const CONSISTENCY_ABSOLUTE_PX2: f32 = 0.5;
 
 /// The flow estimator: a network if one is given, otherwise OpenCV's DIS. `resources` is what a network may take, or
 /// a number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] if the network does
-/// not take two images and give a flow field.
+/// [`PerceptionError::UnknownLayout`] if the network does not take two images and give a flow field.
 pub fn load_flow(
     network: Option<&Path>,
-    options: &FlowOptions,
     resources: impl Into<Resources>,
 ) -> Result<Box<dyn FlowEstimator>, PerceptionError> {
-    options.check()?;
     match network {
-        Some(path) => Ok(Box::new(OnnxFlow::load(path, options, resources)?)),
-        None => Ok(Box::new(DisFlow::new(options)?)),
+        Some(path) => Ok(Box::new(OnnxFlow::load(path, resources)?)),
+        None => Ok(Box::new(DisFlow::new()?)),
     }
 }
 
@@ -115,7 +83,7 @@ impl Field {
 }
 
 /// Where the way there and back ends near its start.
-fn consistent(forward: &Field, backward: &Field, options: &FlowOptions) -> Vec<bool> {
+fn consistent(forward: &Field, backward: &Field) -> Vec<bool> {
     let mut out = Vec::with_capacity(forward.dx.len());
     for y in 0..forward.height {
         for x in 0..forward.width {
@@ -128,7 +96,7 @@ fn consistent(forward: &Field, backward: &Field, options: &FlowOptions) -> Vec<b
                     let [bx, by] = backward.sample(u, v);
                     let miss = (fx + bx).powi(2) + (fy + by).powi(2);
                     let lengths = fx * fx + fy * fy + bx * bx + by * by;
-                    miss <= options.consistency_relative * lengths + options.consistency_absolute_px2
+                    miss <= CONSISTENCY_RELATIVE * lengths + CONSISTENCY_ABSOLUTE_PX2
                 },
             );
         }
@@ -168,9 +136,9 @@ mod tests {
 
     #[test]
     fn what_comes_back_is_consistent_and_what_leaves_is_not() {
-        let ok = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [-2.0, 0.0]), &FlowOptions::default());
+        let ok = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [-2.0, 0.0]));
         assert_eq!(ok[..8], [true, true, true, true, true, true, false, false]);
-        let bad = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [0.0, 0.0]), &FlowOptions::default());
+        let bad = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [0.0, 0.0]));
         assert!(!bad.contains(&true));
     }
 

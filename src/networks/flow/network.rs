@@ -5,7 +5,7 @@ use std::path::Path;
 use ::image::RgbImage;
 
 use super::parts::nothing;
-use super::{Field, FlowEstimator, FlowOptions, at_frame_size, check_sizes, consistent};
+use super::{Field, FlowEstimator, MAX_DIMENSION, at_frame_size, check_sizes, consistent};
 use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::image::{resize_rgb, scale_to_fit};
 use crate::networks::PerceptionError;
@@ -21,7 +21,6 @@ const MIN_SIDE: u32 = 128;
 /// A flow network, ready to run.
 pub struct OnnxFlow {
     model: Model,
-    options: FlowOptions,
     preprocessing: Preprocessing,
     /// The output that holds the flow: the last that can, which is the finest of RAFT's iterations.
     output_idx: usize,
@@ -42,7 +41,7 @@ impl OnnxFlow {
     ///
     /// # Errors
     /// [`PerceptionError::UnknownLayout`] if inputs and outputs are others.
-    pub fn load(path: &Path, options: &FlowOptions, resources: impl Into<Resources>) -> Result<Self, PerceptionError> {
+    pub fn load(path: &Path, resources: impl Into<Resources>) -> Result<Self, PerceptionError> {
         let model = Model::load(path, resources)?;
         let output_idx = model.outputs().iter().rposition(is_flow);
         let (2, true, Some(output_idx)) = (model.inputs().len(), model.inputs().iter().all(is_image), output_idx)
@@ -61,13 +60,13 @@ impl OnnxFlow {
         };
         let raft = Preprocessing { mean: [127.5; 3], std: [127.5; 3], scale: 1.0, ..Preprocessing::default() };
         let preprocessing = description.and_then(|d| d.preprocessing).unwrap_or(raft);
-        Ok(Self { model, options: options.clone(), preprocessing, output_idx })
+        Ok(Self { model, preprocessing, output_idx })
     }
 
     /// Width and height of the input for a frame.
     fn input_size(&self, frame: (u32, u32)) -> (u32, u32) {
         let side = |index: usize| self.model.inputs()[0].shape[index].and_then(|s| u32::try_from(s).ok());
-        let (width, height) = scale_to_fit(frame.0, frame.1, self.options.max_dimension);
+        let (width, height) = scale_to_fit(frame.0, frame.1, MAX_DIMENSION);
         let open = |length: u32| (length.div_ceil(STRIDE) * STRIDE).max(MIN_SIDE);
         (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
     }
@@ -100,7 +99,7 @@ impl FlowEstimator for OnnxFlow {
         let to = tensor_from_image(&resize_rgb(to, w, h)?, &self.preprocessing);
         let forward = self.estimate(&from, &to)?;
         let backward = self.estimate(&to, &from)?;
-        let ok = consistent(&forward, &backward, &self.options);
+        let ok = consistent(&forward, &backward);
         Ok(at_frame_size(&forward, &ok, width, height))
     }
 }

@@ -9,7 +9,7 @@ use std::path::Path;
 use ::image::{Rgb, RgbImage};
 
 use super::local::Local;
-use super::options::PromptOptions;
+use super::options::{FILL, MASK_MARGIN, PromptOptions};
 use super::outline::one_part;
 use super::window::Window;
 use super::{BoxMask, BoxSegmenter, agreement, visible};
@@ -101,7 +101,7 @@ impl BoxNet {
     /// Runs the network on the crop of a box; `None` where there is nothing.
     fn answer(&mut self, image: &RgbImage, rect: &Rect) -> Result<Option<Answer>, PerceptionError> {
         let Some(crop) = Crop::of(rect) else { return Ok(None) };
-        let Some(window) = Window::of_pixels(&rect.grown(self.options.margin), image.dimensions()) else {
+        let Some(window) = Window::of_pixels(&rect.grown(MASK_MARGIN), image.dimensions()) else {
             return Ok(None);
         };
         let mut outputs = self.model.run(&[crop.tensor(image, rect)?])?.into_iter();
@@ -120,7 +120,7 @@ impl BoxNet {
     /// Returns true if a mask fills neither too little nor too much of its box.
     fn fills(&self, answer: &Answer, rect: &Rect) -> bool {
         let fill = answer.local.mask.area_px2() as f64 / rect.area_px2();
-        (self.options.min_fill..=self.options.max_fill).contains(&fill)
+        FILL.contains(&fill)
     }
 
     fn wrong_output(&self, found: Option<Tensor>) -> PerceptionError {

@@ -9,6 +9,7 @@ use ::image::RgbImage;
 use opencv::core::{self, Mat};
 use opencv::imgproc;
 
+use super::options::FILL;
 use super::outline::one_part;
 use super::window::Window;
 use super::{BoxMask, BoxSegmenter, PromptOptions, agreement, visible};
@@ -62,8 +63,7 @@ impl GrabCut {
     fn judged(&self, mask: Mask, rect: &Rect) -> Option<BoxMask> {
         let fill = mask.area_px2() as f64 / rect.area_px2();
         let quality = TRUST * agreement(&mask.bounding_box()?.into(), rect);
-        let passes = (self.options.min_fill..=self.options.max_fill).contains(&fill)
-            && quality >= TRUST * self.options.min_quality;
+        let passes = FILL.contains(&fill) && quality >= TRUST * self.options.min_quality;
         passes.then_some(BoxMask { mask, quality })
     }
 }

@@ -20,7 +20,7 @@ use std::path::Path;
 use ::image::RgbImage;
 
 use super::local::Local;
-use super::options::PromptOptions;
+use super::options::{FILL, MASK_MARGIN, PromptOptions};
 use super::outline::one_part;
 use super::window::{Placement, Share, Window, shares};
 use super::{BoxMask, BoxSegmenter, agreement, visible};
@@ -36,6 +36,8 @@ const LOGIT_STEP: f64 = 4.0;
 const STABILITY_OFFSET: f32 = 1.0;
 /// A mask of this quality is worth asking again for, in the box round it.
 const LOOSE_QUALITY: f64 = 0.5;
+/// Of what the network marks round the box, at least this much lies within its margin.
+const MIN_INSIDE: f64 = 0.8;
 /// Overlap of two answers that mean the same object.
 const CONFIRMED_OVERLAP: f64 = 0.8;
 /// Labels of a box's two corners.
@@ -263,14 +265,14 @@ fn offer(
     frame: (u32, u32),
     options: &PromptOptions,
 ) -> Option<Offer> {
-    let window = Window::of_pixels(&rect.grown(options.margin), frame)?;
+    let window = Window::of_pixels(&rect.grown(MASK_MARGIN), frame)?;
     let marked = marked(plane, placement, window);
     let marked_px2 = marked.area_px2() as f64;
     let local = Local { window, mask: one_part(&marked) };
     let fill = local.mask.area_px2() as f64 / rect.area_px2();
     let quality = quality * agreement(&local.rect()?, rect);
-    let passes = marked_px2 >= options.min_inside * everywhere_px2(plane, placement)
-        && (options.min_fill..=options.max_fill).contains(&fill)
+    let passes = marked_px2 >= MIN_INSIDE * everywhere_px2(plane, placement)
+        && FILL.contains(&fill)
         && quality >= options.min_quality;
     passes.then_some(Offer { mask: local, quality })
 }

@@ -1,12 +1,19 @@
 //! Limits on the mask of a box, and on its cost.
 
+use std::ops::RangeInclusive;
+
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::checks::{Checked, OptionError, ordered, within};
+use crate::checks::{Checked, OptionError, within};
 
 /// Sides of the encoder's input are multiples of this: its cells.
 pub(super) const CELL: u32 = 16;
+
+/// A mask reaches beyond its box by at most this much of the box's longer side.
+pub(super) const MASK_MARGIN: f64 = 0.15;
+/// Share of its box that a mask covers, margin included: what fills it altogether is a piece of road or wall.
+pub(super) const FILL: RangeInclusive<f64> = 0.2..=1.2;
 
 /// Options of masks of boxes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -27,38 +34,15 @@ pub struct PromptOptions {
     /// size that a box has in a part of its own; less saves runs of the encoder and costs exactness.
     #[schemars(extend("unit" = "share"))]
     pub min_shared: f64,
-    /// A mask reaches beyond its box by at most this much of the box's longer side.
-    #[schemars(extend("unit" = "share"))]
-    pub margin: f64,
     /// Masks of a lower quality are none: the network expects too little of them, their border is unsure, or they do
     /// not fit their box.
     #[schemars(extend("unit" = "expected overlap, 0 to 1"))]
     pub min_quality: f64,
-    /// A mask covers at least this much of its box.
-    #[schemars(extend("unit" = "share"))]
-    pub min_fill: f64,
-    /// A mask covers at most this much of its box, margin included: what fills it altogether is a piece of road or
-    /// wall.
-    #[schemars(extend("unit" = "share"))]
-    pub max_fill: f64,
-    /// Of what the network marks round the box, at least this much lies within its margin.
-    #[schemars(extend("unit" = "share"))]
-    pub min_inside: f64,
 }
 
 impl Default for PromptOptions {
     fn default() -> Self {
-        Self {
-            input_size: 336,
-            window: 1.84,
-            min_window: 56,
-            min_shared: 0.25,
-            margin: 0.15,
-            min_quality: 0.75,
-            min_fill: 0.2,
-            max_fill: 1.2,
-            min_inside: 0.8,
-        }
+        Self { input_size: 336, window: 1.84, min_window: 56, min_shared: 0.25, min_quality: 0.75 }
     }
 }
 
@@ -75,12 +59,7 @@ impl PromptOptions {
         within("window", self.window, 1.0..=100.0)?;
         within("min_window", self.min_window, 16..=8192)?;
         within("min_shared", self.min_shared, 0.01..=1.0)?;
-        within("margin", self.margin, 0.0..=1.0)?;
-        within("min_quality", self.min_quality, 0.0..=1.0)?;
-        within("min_fill", self.min_fill, 0.0..=1.0)?;
-        within("max_fill", self.max_fill, 0.1..=10.0)?;
-        ordered(("min_fill", self.min_fill), ("max_fill", self.max_fill))?;
-        within("min_inside", self.min_inside, 0.0..=1.0)
+        within("min_quality", self.min_quality, 0.0..=1.0)
     }
 }
 
@@ -94,7 +73,6 @@ mod tests {
         assert_eq!(usual.check(), Ok(()));
         let bad = |options: PromptOptions| options.check().unwrap_err().key;
         assert_eq!(bad(PromptOptions { input_size: 450, ..usual.clone() }), "input_size");
-        assert_eq!(bad(PromptOptions { window: f64::NAN, ..usual.clone() }), "window");
-        assert_eq!(bad(PromptOptions { min_fill: 0.9, max_fill: 0.5, ..usual }), "min_fill");
+        assert_eq!(bad(PromptOptions { window: f64::NAN, ..usual }), "window");
     }
 }

@@ -2,7 +2,7 @@
 
 use ::image::RgbImage;
 
-use super::options::{CELL, PromptOptions};
+use super::options::{CELL, MASK_MARGIN, PromptOptions};
 use crate::image::{ImageError, resize_rgb};
 use crate::scene::Rect;
 
@@ -87,7 +87,7 @@ pub(super) fn shares(boxes: &[Rect], frame: (u32, u32), options: &PromptOptions)
         let window = Window::around(&boxes[first], margin_px, options.min_window, frame);
         let fits = |b: usize| {
             let large_enough = longer(&boxes[b]) >= options.min_shared * window.side();
-            b == first || (large_enough && window.holds(&boxes[b], options.margin, frame))
+            b == first || (large_enough && window.holds(&boxes[b], MASK_MARGIN, frame))
         };
         let (inside, outside) = waiting.iter().partition(|&&b| fits(b));
         waiting = outside;

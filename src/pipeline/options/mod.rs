@@ -30,8 +30,7 @@ use crate::ffi::onnx::{Provider, Resources};
 use crate::io::interchange::colmap::Encoding;
 use crate::mapper::Intrinsics;
 use crate::memory::MemoryLimit;
-use crate::motion::MotionOptions;
-use crate::networks::{DetectorOptions, FlowOptions, GroundOptions, PromptOptions, SegmentationOptions};
+use crate::networks::{DetectorOptions, GroundOptions, PromptOptions, SegmentationOptions};
 use crate::scene::ObjectId;
 use crate::tracking::TrackerOptions;
 use crate::{ground, sfm, trajectory, video};
@@ -194,14 +193,10 @@ pub struct Options {
     pub provider: Provider,
     /// Vehicle detector.
     pub detector: DetectorOptions,
-    /// Detection of moving objects.
-    pub motion: MotionOptions,
     /// Segmentation of boxes.
     pub prompt: PromptOptions,
     /// Instance segmentation by a network of the user.
     pub segmentation: SegmentationOptions,
-    /// Optical flow.
-    pub flow: FlowOptions,
     /// Tracking of vehicles.
     pub tracker: TrackerOptions,
     /// Masking of moving objects in the background.
@@ -274,10 +269,8 @@ impl Default for Options {
             vehicles: VehicleOptions::default(),
             provider: Provider::default(),
             detector: DetectorOptions::default(),
-            motion: MotionOptions::default(),
             prompt: PromptOptions::default(),
             segmentation: SegmentationOptions::default(),
-            flow: FlowOptions::default(),
             tracker: TrackerOptions::default(),
             masking: MaskingOptions::default(),
             background: sfm::Options::background(),
@@ -358,10 +351,8 @@ impl Options {
         under("video", self.video.check())?;
         under("vehicles", self.vehicles.check())?;
         under("detector", self.detector.check())?;
-        under("motion", self.motion.check())?;
         under("prompt", self.prompt.check())?;
         under("segmentation", self.segmentation.check())?;
-        under("flow", self.flow.check())?;
         under("tracker", self.tracker.check())?;
         under("masking", self.masking.check())?;
         under("background", self.background.check())?;
@@ -453,7 +444,7 @@ mod tests {
             assert!(options.check().is_ok());
             let tree = json!(options);
             let paths = crate::checks::testing::numbers(&tree, "");
-            assert!(paths.len() > 90, "{}", paths.len());
+            assert!(paths.len() > 60, "{}", paths.len());
             for (path, value) in paths.iter().flat_map(|path| wrong.iter().map(move |value| (path, value))) {
                 let mut given = tree.clone();
                 *given.pointer_mut(path).unwrap() = value.clone();

@@ -57,7 +57,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         let mut points = Follower::beside_features(run)?;
         let table = follow_background(run, points.as_mut(), &mut outcome)?;
         if let Some(points) = points {
-            intermediate::write(&store.path(&point_tracks::name(run)), &points.finish())?;
+            intermediate::write(&store.folder.join(point_tracks::FILE_NAME), &points.finish())?;
         }
         outcome.figure("background_tracks", table.tracks.len());
         store.write(BACKGROUND, &table)?;

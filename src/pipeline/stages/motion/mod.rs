@@ -48,7 +48,6 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         return Ok(json!("none"));
     }
     Ok(json!({
-        "options": run.options.motion,
         "finds": finds(run),
         "ground": run.options.ground,
         "seed": run.options.seed,
@@ -69,12 +68,12 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let Followed { frames, tracks } = super::motion::point_tracks::points(run, &folder, &mut outcome)?;
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
-    let labels = classify(&tracks, &world.surroundings(run), &run.options.motion.evidence);
+    let labels = classify(&tracks, &world.surroundings(run));
     let found: Vec<MovingObject> = match () {
         () if !finds(run) => Vec::new(),
         () if background::hovers(run) => differences(run, &world, &frames, &mut outcome)?,
         () => {
-            let by_points = movers(&tracks, &labels, &world.surroundings(run), &run.options.motion);
+            let by_points = movers(&tracks, &labels, &world.surroundings(run));
             by_points.into_iter().map(MovingObject::from).collect()
         }
     };
@@ -99,7 +98,7 @@ fn differences(
     let schedule = Schedule::of(run)?;
     let looks = (0u32..).zip(frames).filter(|(k, _)| schedule.is_detected(*k as usize));
     let indices: BTreeMap<FrameId, u32> = looks.map(|(k, frame)| (frame.id, k)).collect();
-    let mut detector = DifferenceDetector::new(world.surroundings(run), run.options.motion.follower.max_side_px);
+    let mut detector = DifferenceDetector::new(world.surroundings(run));
     let chosen = (run.source.frames_at(indices.keys().copied().collect())?, indices.len());
     images::for_each(run, Stage::Motion, chosen, outcome, |frame, picture| {
         let Some(&index) = indices.get(&frame.id) else { return Ok(()) };

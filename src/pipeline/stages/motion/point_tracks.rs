@@ -2,7 +2,7 @@
 //!
 //! Following needs nothing but pictures. The stage `features` goes through all of them anyway, and where `motion`
 //! comes after it in the same run the points are followed on the way: a video is decoded once for both. What they
-//! became lies next to the tracks of `features`, under a name that tells the options; where it is not, `motion` follows
+//! became lies next to the tracks of `features`, in [`FILE_NAME`]; where it is not, `motion` follows
 //! by itself, to the same result.
 
 use std::collections::BTreeSet;
@@ -44,7 +44,7 @@ impl Follower {
     /// Nothing seen yet.
     pub(in crate::pipeline) fn new(run: &Run) -> Self {
         let size = (run.info().width, run.info().height);
-        Self { points: PointFollower::new(&run.options.motion.follower, size), frames: Vec::new() }
+        Self { points: PointFollower::new(size), frames: Vec::new() }
     }
 
     /// One that works next to the stage `features`, if `motion` comes after it in this run.
@@ -65,10 +65,8 @@ impl Follower {
     }
 }
 
-/// Name of the file, without its ending.
-pub(in crate::pipeline) fn name(run: &Run) -> String {
-    fingerprint::folder_name("points-", &fingerprint::of_value(&run.options.motion.follower))
-}
+/// Name of the file with the points.
+pub(in crate::pipeline) const FILE_NAME: &str = "points.bin";
 
 /// Points that the stage `features` left; otherwise they are tracked now, and kept in `folder`.
 pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Followed, PipelineError> {
@@ -82,21 +80,17 @@ pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcom
     let frames = (run.source.frames_at(wanted)?, number);
     images::for_each(run, Stage::Motion, frames, outcome, |frame, picture| follower.push(&frame, &picture))?;
     let followed = follower.finish();
-    intermediate::write(&folder.join(file_name(run)), &followed)?;
+    intermediate::write(&folder.join(FILE_NAME), &followed)?;
     Ok(followed)
 }
 
 /// Points that [`points`] gave; `folder` is where it may be kept.
 pub(in crate::pipeline) fn kept_points(run: &Run, folder: &Path) -> Result<Followed, PipelineError> {
     let beside = beside_features(run);
-    intermediate::read(&if beside.is_file() { beside } else { folder.join(file_name(run)) })
+    intermediate::read(&if beside.is_file() { beside } else { folder.join(FILE_NAME) })
 }
 
 fn beside_features(run: &Run) -> PathBuf {
     let folder = fingerprint::folder_name(FEATURES_PREFIX, run.fingerprint(Stage::Features));
-    run.workspace.state(&folder).join(file_name(run))
-}
-
-fn file_name(run: &Run) -> String {
-    format!("{}.bin", name(run))
+    run.workspace.state(&folder).join(FILE_NAME)
 }

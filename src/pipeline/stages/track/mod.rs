@@ -37,7 +37,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         let (_, objects) = order::sfm_options(run)?;
         Ok(json!({
             "tracker": options.tracker,
-            "flow": { "options": options.flow, "model": flow_model },
+            "flow_model": flow_model,
             "matching": objects.front_end.matching(),
         }))
     };
@@ -151,7 +151,7 @@ fn masks_in(
 /// The optical flow of the run's options.
 pub(in crate::pipeline) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, PipelineError> {
     let options = run.options;
-    Ok(load_flow(options.flow_model.as_deref(), &options.flow, options.resources())?)
+    Ok(load_flow(options.flow_model.as_deref(), options.resources())?)
 }
 
 /// Refuses models of objects that there are not.

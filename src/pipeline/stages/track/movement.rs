@@ -171,7 +171,6 @@ fn on_objects(
     let seen: Vec<Frame> = points.frames.iter().filter_map(|id| Some((*names.get(id)?).clone())).collect();
     // Without every frame's name the world's frames are not those that tracks count.
     let world = if seen.len() == points.frames.len() { motion::world(run, &seen)? } else { None };
-    let tolerance = run.options.motion.evidence.ground_tolerance;
     let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (k, track) in points.tracks.iter().enumerate() {
         starting.entry(track.first).or_default().push(k);
@@ -191,7 +190,7 @@ fn on_objects(
                 *on_it.counts.entry(k).or_default() += 1;
                 let point = points.labels[k].static_point.filter(|point| point.frame == index);
                 if let Some((world, point)) = world.as_ref().zip(point) {
-                    let foot = foot(world, &mask, pixel, &point, tolerance);
+                    let foot = foot(world, &mask, pixel, &point);
                     on_it.feet.extend(foot.map(|foot| (k, foot)));
                 }
             }
@@ -201,16 +200,10 @@ fn on_objects(
 }
 
 /// The foot of an object below one of its points: where its mask ends in the point's column.
-fn foot(
-    world: &World,
-    mask: &Mask,
-    [x, y]: [f64; 2],
-    point: &StaticPoint,
-    ground_tolerance: f64,
-) -> Option<ContactDepth> {
+fn foot(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint) -> Option<ContactDepth> {
     let view = world.views.get(point.frame as usize)?.as_ref()?;
     let (column, first) = (x.floor() as i64, y.floor() as i64);
     let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;
     let is_cut = last + i64::from(CUT_PX) >= i64::from(mask.height());
-    world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point, ground_tolerance)
+    world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point)
 }
