@@ -191,8 +191,8 @@ def far_camera(bench: Bench) -> tuple[Outcome, str | None]:
 
 
 for key, value in [
-    ("objects.front_end.min_distance_px", "4294967295"),
-    ("background.front_end.min_distance_px", "1e308"),
+    ("objects.front_end.video.min_distance_px", "4294967295"),
+    ("background.front_end.video.min_distance_px", "1e308"),
     ("background.mapper.min_error_px", "1e9"),
     ("background.mapper.max_error_px", "-1"),
     ("ground.num_neighbors", "1000000000"),

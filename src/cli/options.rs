@@ -118,10 +118,7 @@ mod tests {
     fn every_option_says_what_it_does_and_every_number_its_unit() {
         let sections = Options::reference();
         assert!(sections.len() > 8, "{}", sections.len());
-        let sift = |options: &Options, target: &str| options.with_value(&format!("{target}.front_end.kind"), "sift");
-        let sift = sift(&sift(&Options::default(), "background").unwrap(), "objects").unwrap();
-        let internal = [Options::default(), sift].map(|options| options.rows()).concat();
-        for row in sections.iter().flat_map(|section| &section.rows).chain(&internal) {
+        for row in sections.iter().flat_map(|section| &section.rows).chain(&Options::default().rows()) {
             assert!(row.effect.len() > 15, "{row:?}");
             let is_number = row.values.iter().any(|value| value.parse::<f64>().is_ok());
             assert!(!is_number || row.unit.is_some(), "{row:?}");
@@ -138,18 +135,9 @@ mod tests {
         assert!(
             lines
                 .iter()
-                .any(|line| line.starts_with("tuning.background.front_end.min_correlation = 0.7  (correlation)  # ")),
+                .any(|line| line
+                    .starts_with("tuning.background.front_end.video.min_correlation = 0.7  (correlation)  # ")),
             "{lines:#?}"
         );
-    }
-
-    #[test]
-    fn another_front_end_is_compared_with_its_own_defaults() {
-        let options = Options::default().with_value("objects.front_end.kind", "sift").unwrap();
-        let rows = options.rows();
-        let changed: Vec<&str> =
-            rows.iter().filter(|row| row.values[0] != row.values[1]).map(|row| row.key.as_str()).collect();
-        assert_eq!(changed, ["objects.front_end.kind"]);
-        assert!(rows.iter().any(|row| row.key == "tuning.objects.front_end.features.doubled"));
     }
 }

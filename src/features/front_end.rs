@@ -6,66 +6,69 @@ use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::Target;
 use super::large_frames::AnySizeFrontEnd;
 use super::matching::MatchOptions;
 use super::picture::Picture;
-use super::rootsift::FeatureOptions;
-use super::sift_front_end::{Pairing, SiftFrontEnd, SiftOptions};
+use super::sift_front_end::{SiftFrontEnd, SiftOptions};
 use super::tracks::TrackTable;
 use super::video_front_end::VideoOptions;
 use crate::camera::Camera;
-use crate::checks::Checked;
+use crate::checks::{Checked, under};
 use crate::features::FeatureError;
 use crate::scene::{Frame, Mask};
 
-/// Front end; `features` other than `auto` overrides it, and unordered frames always use `sift`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case", tag = "kind")]
-pub enum FrontEndOptions {
+/// Kind of front end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
+pub enum FrontEndKind {
     /// Points tracked from frame to frame.
-    Video(VideoOptions),
+    Video,
     /// SIFT features in every frame, matched between frames.
-    Sift(SiftOptions),
+    Sift,
+}
+
+/// Front end and the options of both kinds.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[serde(deny_unknown_fields)]
+pub struct FrontEndOptions {
+    /// Front end; `features` other than `auto` overrides it, and unordered frames always use `sift`.
+    pub kind: FrontEndKind,
+    /// Options of the kind `video`.
+    pub video: VideoOptions,
+    /// Options of the kind `sift`.
+    pub sift: SiftOptions,
 }
 
 impl FrontEndOptions {
+    /// For a target in a video.
+    pub fn of(target: Target) -> Self {
+        Self { kind: FrontEndKind::Video, video: VideoOptions::of(target), sift: SiftOptions::of(target) }
+    }
+
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
-        match self {
-            Self::Video(video) => video.check(),
-            Self::Sift(sift) => sift.check(),
-        }
+        under("video", self.video.check())?;
+        under("sift", self.sift.check())
     }
 
     /// Descriptor matching.
     pub fn matching(&self) -> &MatchOptions {
-        match self {
-            Self::Video(video) => &video.matching,
-            Self::Sift(sift) => &sift.matching,
+        match self.kind {
+            FrontEndKind::Video => &self.video.matching,
+            FrontEndKind::Sift => &self.sift.matching,
         }
-    }
-
-    /// For photographs in no order.
-    pub fn unordered() -> Self {
-        let features = FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() };
-        Self::Sift(SiftOptions {
-            features,
-            pairing: Pairing::UNORDERED,
-            // With refined positions points of two views help more than they harm.
-            min_track_length: 2,
-            ..SiftOptions::background()
-        })
     }
 }
 
 /// Takes frames and gives tracks.
 pub enum FrontEnd {
-    /// See [`FrontEndOptions::Video`].
+    /// See [`FrontEndKind::Video`].
     Video(AnySizeFrontEnd),
-    /// See [`FrontEndOptions::Sift`].
+    /// See [`FrontEndKind::Sift`].
     Sift(SiftFrontEnd),
 }
 
@@ -73,9 +76,9 @@ impl FrontEnd {
     /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`]
     /// refuses may end in a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
-        match options {
-            FrontEndOptions::Video(o) => Self::Video(AnySizeFrontEnd::new(o.clone(), camera)),
-            FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), vec![camera])),
+        match options.kind {
+            FrontEndKind::Video => Self::Video(AnySizeFrontEnd::new(options.video.clone(), camera)),
+            FrontEndKind::Sift => Self::Sift(SiftFrontEnd::new(options.sift.clone(), vec![camera])),
         }
     }
 
@@ -85,9 +88,9 @@ impl FrontEnd {
     /// [`FeatureError::NoCamera`] if the list is empty.
     pub fn of_cameras(options: &FrontEndOptions, cameras: Vec<Camera>) -> Result<Self, FeatureError> {
         let first = *cameras.first().ok_or(FeatureError::NoCamera { camera: 0, count: 0 })?;
-        Ok(match options {
-            FrontEndOptions::Video(_) => Self::new(options, first),
-            FrontEndOptions::Sift(o) => Self::Sift(SiftFrontEnd::new(o.clone(), cameras)),
+        Ok(match options.kind {
+            FrontEndKind::Video => Self::new(options, first),
+            FrontEndKind::Sift => Self::Sift(SiftFrontEnd::new(options.sift.clone(), cameras)),
         })
     }
 
@@ -148,7 +151,6 @@ impl FrontEnd {
 mod tests {
     use super::*;
     use crate::checks::testing::variations;
-    use crate::features::Target;
     use crate::image::RgbImage;
     use crate::math::seeded_rng;
     use crate::scene::FrameId;
@@ -170,10 +172,10 @@ mod tests {
     fn options_that_pass_the_check_do_no_harm() {
         let (frames, mask) = (frames(), Mask::from_fn(120, 80, |x, _| x > 20));
         let mut num_passed = 0;
-        let options = crate::sfm::Options::object();
-        for options in [options.clone(), options.with_sift(Target::Object)] {
-            for (changed, options) in variations(&options.front_end) {
-                if options.check().is_err() {
+        for (kind, group) in [(FrontEndKind::Video, "/video"), (FrontEndKind::Sift, "/sift")] {
+            let options = FrontEndOptions { kind, ..FrontEndOptions::of(Target::Object) };
+            for (changed, options) in variations(&options) {
+                if !changed.starts_with(group) || options.check().is_err() {
                     continue;
                 }
                 num_passed += 1;

@@ -20,7 +20,7 @@ pub mod tracks;
 pub mod video_front_end;
 
 pub use error::FeatureError;
-pub use front_end::{FrontEnd, FrontEndOptions};
+pub use front_end::{FrontEnd, FrontEndKind, FrontEndOptions};
 pub use picture::Picture;
 pub use tracks::TrackTable;
 

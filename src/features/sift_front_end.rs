@@ -124,6 +124,17 @@ impl SiftOptions {
         }
     }
 
+    /// For the background of photographs in no order.
+    pub fn unordered() -> Self {
+        Self {
+            features: FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() },
+            pairing: Pairing::UNORDERED,
+            // With refined positions points of two views help more than they harm.
+            min_track_length: 2,
+            ..Self::background()
+        }
+    }
+
     /// For one object of a video.
     pub fn object() -> Self {
         Self {

@@ -30,8 +30,7 @@ pub use pictures::reconstruct_pictures;
 
 use crate::checks::{Checked, under};
 use crate::features::sift_front_end::{Pairing, SiftOptions};
-use crate::features::video_front_end::VideoOptions;
-use crate::features::{FrontEndOptions, Target};
+use crate::features::{FrontEndKind, FrontEndOptions, Target};
 
 /// Options of the reconstruction of one target.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -47,8 +46,8 @@ pub struct Options {
 }
 
 /// Pairing of unordered pictures: that of the options unless it is one of frames in order.
-fn unordered_pairing(sift: &SiftOptions) -> Pairing {
-    match sift.pairing {
+fn unordered_pairing(pairing: Pairing) -> Pairing {
+    match pairing {
         Pairing::Sequential { .. } => Pairing::UNORDERED,
         of_any_order => of_any_order,
     }
@@ -65,13 +64,12 @@ impl Options {
 
     /// For the background of a video.
     pub fn background() -> Self {
-        let front_end = FrontEndOptions::Video(VideoOptions::background());
-        Self { front_end, mapper: crate::mapper::Options::background() }
+        Self { front_end: FrontEndOptions::of(Target::Background), mapper: crate::mapper::Options::background() }
     }
 
     /// For one object of a video.
     pub fn object() -> Self {
-        Self { front_end: FrontEndOptions::Video(VideoOptions::object()), mapper: crate::mapper::Options::object() }
+        Self { front_end: FrontEndOptions::of(Target::Object), mapper: crate::mapper::Options::object() }
     }
 
     /// For photographs in no order.
@@ -79,32 +77,16 @@ impl Options {
         Self::background().without_order(Target::Background)
     }
 
-    /// The same by SIFT in every frame, matched between frames; SIFT options that are there already stay.
-    pub fn with_sift(self, target: Target) -> Self {
-        let sift = match self.front_end {
-            FrontEndOptions::Sift(sift) => sift,
-            FrontEndOptions::Video(_) => SiftOptions::of(target),
-        };
-        Self { front_end: FrontEndOptions::Sift(sift), ..self }
-    }
-
-    /// The same by points followed from frame to frame; such options that are there already stay.
-    pub fn with_video(self, target: Target) -> Self {
-        let video = match self.front_end {
-            FrontEndOptions::Video(video) => video,
-            FrontEndOptions::Sift(_) => VideoOptions::of(target),
-        };
-        Self { front_end: FrontEndOptions::Video(video), ..self }
-    }
-
     /// The same for pictures in no order: SIFT, pairs by similarity, and no neighbours in time.
     pub fn without_order(self, target: Target) -> Self {
-        let unordered = |sift| FrontEndOptions::Sift(SiftOptions { pairing: unordered_pairing(&sift), ..sift });
-        let front_end = match (self.front_end, target) {
-            (FrontEndOptions::Sift(sift), _) => unordered(sift),
-            (FrontEndOptions::Video(_), Target::Object) => unordered(SiftOptions::object()),
-            (FrontEndOptions::Video(_), Target::Background) => FrontEndOptions::unordered(),
+        let mut front_end = self.front_end;
+        front_end.sift = match (front_end.kind, target) {
+            (FrontEndKind::Sift, _) => front_end.sift,
+            (FrontEndKind::Video, Target::Object) => SiftOptions::object(),
+            (FrontEndKind::Video, Target::Background) => SiftOptions::unordered(),
         };
+        front_end.kind = FrontEndKind::Sift;
+        front_end.sift.pairing = unordered_pairing(front_end.sift.pairing);
         Self { front_end, mapper: crate::mapper::Options { ordered: false, ..self.mapper } }
     }
 

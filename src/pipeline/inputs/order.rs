@@ -5,8 +5,9 @@ use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::features::Target;
+use crate::features::{FrontEndKind, Target};
 use crate::image::gray_from_rgb;
+use crate::math::upper_median;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::options::{FeatureKind, FrameOrder};
 use crate::pipeline::{Options, PipelineError};
@@ -90,8 +91,7 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
             shares.push(if is_alike { features::order::followed_share(a, b)? } else { 0.0 });
         }
     }
-    shares.sort_by(f64::total_cmp);
-    let share = shares.get(shares.len() / 2).copied();
+    let share = upper_median(shares);
     Ok(Order { in_time: share.is_some_and(|share| share >= FOLLOWED_SHARE), followed_share: share })
 }
 
@@ -107,38 +107,40 @@ pub(in crate::pipeline) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::
 }
 
 fn resolved(options: &Options, in_time: bool) -> (sfm::Options, sfm::Options) {
-    let (background, objects) = (options.background.clone(), options.objects.clone());
+    let (mut background, mut objects) = (options.background.clone(), options.objects.clone());
     if !in_time {
         return (background.without_order(Target::Background), objects.without_order(Target::Object));
     }
-    match options.features {
-        FeatureKind::Auto => (background, objects),
-        FeatureKind::Video => (background.with_video(Target::Background), objects.with_video(Target::Object)),
-        FeatureKind::Sift => (background.with_sift(Target::Background), objects.with_sift(Target::Object)),
-    }
+    let kind = match options.features {
+        FeatureKind::Auto => return (background, objects),
+        FeatureKind::Video => FrontEndKind::Video,
+        FeatureKind::Sift => FrontEndKind::Sift,
+    };
+    background.front_end.kind = kind;
+    objects.front_end.kind = kind;
+    (background, objects)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::FrontEndOptions;
     use crate::features::sift_front_end::Pairing;
 
     #[test]
     fn features_and_order_choose_the_front_end() {
         let with = |features| Options { features, ..Options::default() };
         let (background, objects) = resolved(&with(FeatureKind::Auto), true);
-        assert!(matches!(background.front_end, FrontEndOptions::Video(_)) && background.mapper.ordered);
-        assert!(matches!(objects.front_end, FrontEndOptions::Video(_)));
+        assert!(background.front_end.kind == FrontEndKind::Video && background.mapper.ordered);
+        assert_eq!(objects.front_end.kind, FrontEndKind::Video);
         let (background, objects) = resolved(&with(FeatureKind::Sift), true);
         for found in [&background, &objects] {
-            let FrontEndOptions::Sift(sift) = &found.front_end else { panic!("asked for SIFT") };
-            assert!(matches!(sift.pairing, Pairing::Sequential { .. }) && found.mapper.ordered);
+            assert_eq!(found.front_end.kind, FrontEndKind::Sift);
+            assert!(matches!(found.front_end.sift.pairing, Pairing::Sequential { .. }) && found.mapper.ordered);
         }
         for features in [FeatureKind::Auto, FeatureKind::Sift] {
             let (background, _) = resolved(&with(features), false);
-            let FrontEndOptions::Sift(sift) = &background.front_end else { panic!("photographs need SIFT") };
-            assert!(sift.pairing == Pairing::UNORDERED && !background.mapper.ordered);
+            assert_eq!(background.front_end.kind, FrontEndKind::Sift);
+            assert!(background.front_end.sift.pairing == Pairing::UNORDERED && !background.mapper.ordered);
         }
     }
 }

@@ -36,8 +36,8 @@ impl Ablation {
             "skip-tied-keyframes",
             10,
             &[
-                ("tuning.background.front_end.skip_tied_keyframes", "false"),
-                ("tuning.objects.front_end.skip_tied_keyframes", "false"),
+                ("tuning.background.front_end.video.skip_tied_keyframes", "false"),
+                ("tuning.objects.front_end.video.skip_tied_keyframes", "false"),
             ],
         ),
         ablation("contact-of-ends", 13, &[("tuning.scale.joint.contact.most_end_view", "0")]),
@@ -79,7 +79,7 @@ impl Ablation {
     /// Options without the mechanism.
     ///
     /// # Errors
-    /// [`OptionError`] if the chosen front end does not have the option.
+    /// [`OptionError`] if the options do not have one of them.
     pub fn without(&self, options: &Options) -> Result<Options, OptionError> {
         self.settings.iter().try_fold(options.clone(), |options, (key, value)| options.with_value(key, value))
     }

@@ -419,7 +419,7 @@ mod tests {
         }
     }
 
-    /// Options with everything given that is left out by default, and the other front ends.
+    /// Options with everything given that is left out by default.
     fn full() -> Options {
         let options = Options::default();
         Options {
@@ -427,8 +427,6 @@ mod tests {
             ground_labels: GroundLabels::Masks { folder: "masks".into(), label: Some(3) },
             intrinsics: Some(IntrinsicsSource::Given(vec![800.0, 800.0, 480.0, 270.0, 0.0, 0.0])),
             only_objects: [ObjectId(1)].into(),
-            background: options.background.clone().with_sift(crate::features::Target::Background),
-            objects: options.objects.clone().with_sift(crate::features::Target::Object),
             threads: Some(2),
             ..options
         }
@@ -444,7 +442,7 @@ mod tests {
             assert!(options.check().is_ok());
             let tree = json!(options);
             let paths = crate::checks::testing::numbers(&tree, "");
-            assert!(paths.len() > 60, "{}", paths.len());
+            assert!(paths.len() > 90, "{}", paths.len());
             for (path, value) in paths.iter().flat_map(|path| wrong.iter().map(move |value| (path, value))) {
                 let mut given = tree.clone();
                 *given.pointer_mut(path).unwrap() = value.clone();
@@ -478,7 +476,7 @@ mod tests {
             ("background.mapper.min_error_px", "5"),
             ("background.mapper.loss_scale_px", "0.01"),
             ("objects.mapper.max_starts", "0"),
-            ("objects.front_end.patch_radius_px", "-1"),
+            ("objects.front_end.video.patch_radius_px", "-1"),
             ("ground.min_points", "60"),
             ("tracker.min_detections", "0"),
             ("scale.joint.sigma_distance", "[0.2, 0.1]"),

@@ -147,11 +147,9 @@ mod tests {
 
     #[test]
     fn the_tree_is_divided_into_public_options_and_tuning() {
-        let sift = |options: Options| Options {
-            objects: options.objects.clone().with_sift(crate::features::Target::Object),
-            ..options
-        };
-        for options in [Options::default(), sift(Options::default())] {
+        let mut sift = Options::default();
+        sift.objects.front_end.kind = crate::features::FrontEndKind::Sift;
+        for options in [Options::default(), sift] {
             let tree = options.to_json();
             assert!(tree["ground"].get("min_observations").is_none() && tree.get("prompt").is_none(), "{tree}");
             assert_eq!(tree[TUNING]["ground"]["min_observations"], 4);

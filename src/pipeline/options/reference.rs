@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use super::Options;
 use super::public::{is_public, spelled};
 use super::schema::{self, Node, join};
-use crate::features::{FrontEndOptions, Target};
+use crate::features::Target;
 use crate::sfm;
 
 /// An option.
@@ -37,14 +37,9 @@ pub struct OptionSection {
 }
 
 impl Options {
-    /// Every option with its value here and its default. Options of a front end are compared with those of its kind.
+    /// Every option with its value here and its default.
     pub fn rows(&self) -> Vec<OptionRow> {
-        let mut like = json!(defaults_for(self));
-        let default = json!(Self::default());
-        for target in ["background", "objects"] {
-            like[target]["front_end"]["kind"] = default[target]["front_end"]["kind"].clone();
-        }
-        let all = rows(schema::root(), "", &[json!(self), like]);
+        let all = rows(schema::root(), "", &[json!(self), json!(Self::default())]);
         let (public, tuning): (Vec<_>, Vec<_>) = all.into_iter().partition(|row| row.is_public);
         public.into_iter().chain(tuning).collect()
     }
@@ -95,22 +90,12 @@ fn targets(schema: &Value) -> Vec<OptionSection> {
 
 /// The options at and below a place of the tree.
 fn rows(schema: &Value, path: &str, trees: &[Value]) -> Vec<OptionRow> {
-    let group = |known: &serde_json::Map<String, Value>| {
-        let below = |(name, schema): (&String, &Value)| {
-            let trees: Vec<Value> = trees.iter().map(|tree| tree[name].clone()).collect();
-            rows(schema, &join(path, name), &trees)
-        };
-        known.iter().flat_map(below).collect()
+    let below = |(name, schema): (&String, &Value)| {
+        let trees: Vec<Value> = trees.iter().map(|tree| tree[name].clone()).collect();
+        rows(schema, &join(path, name), &trees)
     };
     match Node::of(schema) {
-        Node::Group(known) => group(known),
-        Node::Kinds(kinds) => {
-            let known = trees.first().and_then(|tree| schema::of_kind(kinds, &tree["kind"]));
-            let mut found = known.map_or_else(Vec::new, group);
-            let kind = spelled(&join(path, "kind"));
-            found.iter_mut().filter(|row| row.key == kind).for_each(|row| row.effect = schema::effect(schema));
-            found
-        }
+        Node::Group(known) => known.iter().flat_map(below).collect(),
         Node::ById | Node::Leaf => vec![OptionRow {
             key: spelled(path),
             is_public: is_public(path),
@@ -118,18 +103,5 @@ fn rows(schema: &Value, path: &str, trees: &[Value]) -> Vec<OptionRow> {
             unit: schema::unit(path, schema),
             effect: schema::effect(schema),
         }],
-    }
-}
-
-/// The defaults, with the kinds of front end that some options have.
-fn defaults_for(options: &Options) -> Options {
-    let like = |target, wanted: &sfm::Options| match wanted.front_end {
-        FrontEndOptions::Video(_) => sfm::Options::of(target).with_video(target),
-        FrontEndOptions::Sift(_) => sfm::Options::of(target).with_sift(target),
-    };
-    Options {
-        background: like(Target::Background, &options.background),
-        objects: like(Target::Object, &options.objects),
-        ..Options::default()
     }
 }

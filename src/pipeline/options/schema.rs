@@ -22,8 +22,6 @@ pub(super) fn root() -> &'static Value {
 pub(super) enum Node<'a> {
     /// Options with names.
     Group(&'a Map<String, Value>),
-    /// A group whose options depend on its `kind`: a schema for each.
-    Kinds(&'a [Value]),
     /// Values by the ids of objects.
     ById,
     /// A value, which is given as a whole.
@@ -35,11 +33,7 @@ impl<'a> Node<'a> {
         if let Some(options) = options_of(schema) {
             return Self::Group(options);
         }
-        match schema.get("oneOf").and_then(Value::as_array) {
-            Some(kinds) if kinds.iter().all(|kind| kind_of(kind).is_some()) => Self::Kinds(kinds),
-            _ if schema.get("patternProperties").is_some() => Self::ById,
-            _ => Self::Leaf,
-        }
+        if schema.get("patternProperties").is_some() { Self::ById } else { Self::Leaf }
     }
 }
 
@@ -47,38 +41,15 @@ fn options_of(schema: &Value) -> Option<&Map<String, Value>> {
     schema.get("properties")?.as_object()
 }
 
-fn kind_of(schema: &Value) -> Option<&Value> {
-    options_of(schema)?.get("kind")?.get("const")
-}
-
-/// The options of one of the kinds.
-pub(super) fn of_kind<'a>(kinds: &'a [Value], kind: &Value) -> Option<&'a Map<String, Value>> {
-    kinds.iter().find(|schema| kind_of(schema) == Some(kind)).and_then(options_of)
-}
-
-/// The kind to which an option belongs.
-pub(super) fn kind_with<'a>(kinds: &'a [Value], option: &str) -> Option<&'a Value> {
-    kinds.iter().find(|schema| options_of(schema).is_some_and(|known| known.contains_key(option))).and_then(kind_of)
-}
-
-/// The names of the kinds.
-pub(super) fn kinds(kinds: &[Value]) -> Vec<&str> {
-    kinds.iter().filter_map(kind_of).filter_map(Value::as_str).collect()
-}
-
 /// The path of an option in a group.
 pub(super) fn join(group: &str, name: &str) -> String {
     if group.is_empty() { name.to_owned() } else { format!("{group}.{name}") }
 }
 
-/// The paths of all options, those of every kind among them.
+/// The paths of all options.
 pub(super) fn paths(schema: &Value, path: &str) -> Vec<String> {
-    let below = |options: &Map<String, Value>| -> Vec<String> {
-        options.iter().flat_map(|(name, schema)| paths(schema, &join(path, name))).collect()
-    };
     match Node::of(schema) {
-        Node::Group(options) => below(options),
-        Node::Kinds(kinds) => kinds.iter().filter_map(options_of).flat_map(below).collect(),
+        Node::Group(options) => options.iter().flat_map(|(name, schema)| paths(schema, &join(path, name))).collect(),
         Node::ById | Node::Leaf => vec![path.to_owned()],
     }
 }
@@ -104,7 +75,7 @@ fn choices(schema: &Value) -> &[Value] {
 }
 
 fn choice(variant: &Value) -> String {
-    let written = match (variant.get("const").or_else(|| kind_of(variant)), options_of(variant)) {
+    let written = match (variant.get("const"), options_of(variant)) {
         (Some(word), _) => word.to_string(),
         (None, Some(content)) => content.keys().map(|name| format!("{{\"{name}\": …}}")).collect(),
         (None, None) => variant.get("enum").map(Value::to_string).unwrap_or_default(),

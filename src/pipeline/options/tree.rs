@@ -10,14 +10,10 @@ use super::Options;
 use super::public::{TUNING, in_tree, spelled};
 use super::schema::{self, Node, join};
 use crate::checks::{Checked, OptionError};
-use crate::features::Target;
-use crate::sfm;
 
 impl Options {
     /// These options with those that a tree of JSON gives instead: public ones, and others below `tuning`. Every option
     /// is accepted at either place.
-    ///
-    /// Where it names another `kind` of front end, the other options of that kind begin with their defaults.
     ///
     /// # Errors
     /// [`OptionError`] for a key that is not in the tree of options, which says the one that may be meant, and for a
@@ -78,11 +74,6 @@ fn compare(path: &str, one: &Value, other: &Value, keys: &mut Vec<String>) {
 fn lay(options: &mut Options, path: &str, schema: &Value, given: &Value) -> Checked {
     match Node::of(schema) {
         Node::Group(known) => lay_group(options, path, known, given),
-        Node::Kinds(kinds) => {
-            let known = choose_kind(options, path, kinds, given)?;
-            check_kind(path, kinds, known, given)?;
-            lay_group(options, path, known, given)
-        }
         Node::ById => named(path, &[], given)?.iter().try_for_each(|(id, value)| put(options, &join(path, id), value)),
         Node::Leaf => put(options, path, given),
     }
@@ -104,44 +95,6 @@ fn named<'a>(path: &str, names: &[&str], given: &'a Value) -> Result<&'a Map<Str
         _ => OptionError::new(path, format!("{given}: expected a group of options: {}", names.join(", "))),
     };
     given.as_object().ok_or_else(wrong)
-}
-
-/// The options of the kind that is given, else of the one that is there. Another one comes with its defaults.
-fn choose_kind<'a>(
-    options: &mut Options,
-    path: &str,
-    kinds: &'a [Value],
-    given: &Value,
-) -> Result<&'a Map<String, Value>, OptionError> {
-    let before = tree(options).pointer(&pointer(path)).map_or(Value::Null, |group| group["kind"].clone());
-    let kind = given.get("kind").unwrap_or(&before);
-    let wrong =
-        || OptionError::new(join(path, "kind"), format!("{kind}: expected one of {}", schema::kinds(kinds).join(", ")));
-    let known = schema::of_kind(kinds, kind).ok_or_else(wrong)?;
-    if *kind != before {
-        let target = if path.starts_with("objects") { Target::Object } else { Target::Background };
-        put(options, path, &front_end(target, kind).ok_or_else(wrong)?)?;
-    }
-    Ok(known)
-}
-
-/// Refuses options of other kinds than the one that is chosen.
-fn check_kind(path: &str, kinds: &[Value], known: &Map<String, Value>, given: &Value) -> Checked {
-    let names = given.as_object().into_iter().flat_map(Map::keys).filter(|name| !known.contains_key(*name));
-    for name in names {
-        if let Some(kind) = schema::kind_with(kinds, name) {
-            let reason = format!("belongs to kind {kind}; set {} to that first", join(path, "kind"));
-            return Err(OptionError::new(join(path, name), reason));
-        }
-    }
-    Ok(())
-}
-
-/// A front end of some kind, as it is unless set otherwise.
-fn front_end(target: Target, kind: &Value) -> Option<Value> {
-    let options = sfm::Options::of(target);
-    let both = [options.clone().with_video(target), options.with_sift(target)];
-    both.iter().map(|options| json!(options.front_end)).find(|front_end| front_end["kind"] == *kind)
 }
 
 /// Takes a single value over.
@@ -197,8 +150,7 @@ fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::FrontEndOptions;
-    use crate::features::sift_front_end::SiftOptions;
+    use crate::features::FrontEndKind;
 
     fn laid(given: Value) -> Result<Options, OptionError> {
         Options::default().with_tree(&given)
@@ -211,7 +163,7 @@ mod tests {
     #[test]
     fn what_run_json_holds_is_taken_as_it_is() {
         let mut options = Options { seed: 7, only_objects: [crate::scene::ObjectId(3)].into(), ..Options::default() };
-        options.objects = options.objects.with_sift(Target::Object);
+        options.objects.front_end.kind = FrontEndKind::Sift;
         for options in [Options::default(), options] {
             let text = serde_json::to_string(&json!({ "options": options })).unwrap();
             let read: Value = serde_json::from_str(&text).unwrap();
@@ -221,28 +173,14 @@ mod tests {
 
     #[test]
     fn what_is_not_given_keeps_the_default_of_its_target() {
-        let given = json!({ "objects": { "mapper": { "max_starts": 2 }, "front_end": { "quality": 0.5 } } });
+        let given =
+            json!({ "objects": { "mapper": { "max_starts": 2 }, "front_end": { "video": { "quality": 0.5 } } } });
         let found = laid(given).unwrap();
         let mut expected = Options::default();
         expected.objects.mapper.max_starts = 2;
-        let FrontEndOptions::Video(video) = &mut expected.objects.front_end else { panic!("video is the default") };
-        video.quality = 0.5;
+        expected.objects.front_end.video.quality = 0.5;
         assert_eq!(found, expected);
         assert_ne!(found.objects.mapper, found.background.mapper);
-    }
-
-    #[test]
-    fn another_kind_of_front_end_begins_with_its_defaults() {
-        let given = json!({ "objects": { "front_end": { "min_pair_matches": 9, "kind": "sift" } } });
-        let found = laid(given).unwrap();
-        let expected = SiftOptions { min_pair_matches: 9, ..SiftOptions::object() };
-        assert_eq!(found.objects.front_end, FrontEndOptions::Sift(expected));
-        let back = found.with_value("objects.front_end.kind", "video").unwrap();
-        assert_eq!(back, Options::default());
-        let said = refused(json!({ "background": { "front_end": { "kind": "orb" } } }));
-        assert!(said.contains("background.front_end.kind") && said.contains("video, sift"), "{said}");
-        let said = refused(json!({ "background": { "front_end": { "pairing": "exhaustive" } } }));
-        assert!(said.contains("background.front_end.pairing: belongs to kind \"sift\""), "{said}");
     }
 
     #[test]
@@ -254,50 +192,21 @@ mod tests {
         assert_eq!(options.object_models.len(), 2);
     }
 
-    /// Paths of all groups, those of every kind among them.
-    fn groups(schema: &Value, path: &str) -> Vec<(String, Option<Value>)> {
-        let below = |options: &Map<String, Value>| -> Vec<_> {
-            options.iter().flat_map(|(name, schema)| groups(schema, &join(path, name))).collect()
-        };
-        match Node::of(schema) {
-            Node::Group(options) => [vec![(path.to_owned(), None)], below(options)].concat(),
-            Node::Kinds(kinds) => {
-                let one = |kind: &Value| {
-                    let options = kind["properties"].as_object().unwrap();
-                    [vec![(path.to_owned(), Some(options["kind"]["const"].clone()))], below(options)].concat()
-                };
-                kinds.iter().flat_map(one).collect()
-            }
-            Node::ById | Node::Leaf => Vec::new(),
-        }
+    /// Paths of all groups.
+    fn groups(schema: &Value, path: &str) -> Vec<String> {
+        let Node::Group(options) = Node::of(schema) else { return Vec::new() };
+        let below = options.iter().flat_map(|(name, schema)| groups(schema, &join(path, name)));
+        std::iter::once(path.to_owned()).chain(below).collect()
     }
 
     #[test]
     fn unknown_keys_are_refused_at_every_level() {
         let groups = groups(schema::root(), "");
-        assert!(groups.len() > 15, "{groups:?}");
-        let base = |path: &str| match path.contains("front_end.") {
-            true => {
-                let sift = |target, options: sfm::Options| options.with_sift(target);
-                let options = Options::default();
-                Options {
-                    background: sift(Target::Background, options.background.clone()),
-                    objects: sift(Target::Object, options.objects.clone()),
-                    ..options
-                }
-            }
-            false => Options::default(),
-        };
-        for (path, kind) in groups {
-            let inner = kind.map_or(json!({}), |kind| json!({ "kind": kind }));
-            let given = |name: &str| {
-                let mut group = inner.clone();
-                group[name] = json!(1);
-                let around = path.rsplit('.').filter(|name| !name.is_empty());
-                around.fold(group, |inner, name| json!({ name: inner }))
-            };
-            let error = base(&path).with_tree(&given("no_such_option")).unwrap_err();
-            assert_eq!(error.key, join(&path, "no_such_option"));
+        assert!(groups.len() > 20, "{groups:?}");
+        for path in groups {
+            let around = path.rsplit('.').filter(|name| !name.is_empty());
+            let given = around.fold(json!({ "no_such_option": 1 }), |inner, name| json!({ name: inner }));
+            assert_eq!(laid(given).unwrap_err().key, join(&path, "no_such_option"));
         }
     }
 
@@ -309,7 +218,9 @@ mod tests {
         assert!(said.contains("option max_pair_matches: unknown option"), "{said}");
         let said = refused(json!({ "min_pair_matches": 5 }));
         assert!(
-            said.contains("tuning.background.front_end.min_pair_matches or tuning.objects.front_end.min_pair_matches"),
+            said.contains(
+                "tuning.background.front_end.sift.min_pair_matches or tuning.objects.front_end.sift.min_pair_matches"
+            ),
             "{said}"
         );
     }
@@ -321,10 +232,11 @@ mod tests {
             (json!({ "ground": { "max_error_px": null } }), "ground.max_error_px"),
             (json!({ "ground": 7 }), "ground"),
             (
-                json!({ "background": { "front_end": { "min_correlation": 1e300 } } }),
-                "background.front_end.min_correlation",
+                json!({ "background": { "front_end": { "video": { "min_correlation": 1e300 } } } }),
+                "background.front_end.video.min_correlation",
             ),
             (json!({ "features": "orb" }), "features"),
+            (json!({ "background": { "front_end": { "kind": "orb" } } }), "background.front_end.kind"),
             (json!({ "object_models": { "one": "a" } }), "object_models.one"),
             (json!([1]), ""),
         ];

@@ -404,12 +404,12 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, Pipe
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::Target;
+    use crate::features::FrontEndKind;
 
     #[test]
     fn options_of_run_json_are_read_back() {
         let mut options = Options { seed: 7, ..Options::default() };
-        options.objects = options.objects.with_sift(Target::Object);
+        options.objects.front_end.kind = FrontEndKind::Sift;
         options.background.mapper.max_starts = 2;
         for options in [Options::default(), options] {
             let input = serde_json::json!({ "path": "clip.mp4" });
