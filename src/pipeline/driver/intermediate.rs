@@ -52,29 +52,6 @@ pub(in crate::pipeline) fn write(path: &Path, value: &impl Serialize) -> Result<
     Ok(written?)
 }
 
-/// Value of the content of an intermediate file.
-///
-/// # Errors
-/// The damage in words.
-pub(in crate::pipeline) fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, String> {
-    let (content, checksum) = bytes.split_last_chunk::<CHECKSUM_LEN>().ok_or("truncated")?;
-    if Sha256::digest(content).as_slice() != checksum {
-        return Err("checksum mismatch".to_owned());
-    }
-    postcard::from_bytes(content).map_err(|error| error.to_string())
-}
-
-/// Content of an intermediate file with a value.
-///
-/// # Errors
-/// The value that the format cannot hold, in words.
-pub(in crate::pipeline) fn to_bytes(value: &(impl Serialize + ?Sized)) -> Result<Vec<u8>, String> {
-    let mut bytes = postcard::to_stdvec(value).map_err(|error| error.to_string())?;
-    let checksum = Sha256::digest(&bytes);
-    bytes.extend_from_slice(&checksum);
-    Ok(bytes)
-}
-
 /// Error of a damaged intermediate file.
 pub(in crate::pipeline) fn damaged(path: &Path, reason: impl ToString) -> PipelineError {
     PipelineError::State { path: path.to_owned(), reason: reason.to_string() }
@@ -158,6 +135,8 @@ impl<T: Read> Read for Checked<T> {
 
 #[cfg(test)]
 mod tests {
+    use std::sync::LazyLock;
+
     use proptest::prelude::*;
     use rand::Rng as _;
 
@@ -187,25 +166,28 @@ mod tests {
     }
 
     #[test]
-    fn values_come_back_from_files_and_bytes() {
+    fn values_come_back_from_files() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("frames.bin");
         write(&path, &frames()).unwrap();
         assert_eq!(read::<Vec<Frame>>(&path).unwrap(), frames());
-        let bytes = std::fs::read(&path).unwrap();
-        assert_eq!(bytes, to_bytes(&frames()).unwrap());
-        assert_eq!(from_bytes::<Vec<Frame>>(&bytes).unwrap(), frames());
     }
+
+    /// Content of a file with the frames.
+    static WHOLE: LazyLock<Vec<u8>> = LazyLock::new(|| {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("frames.bin");
+        write(&path, &frames()).unwrap();
+        std::fs::read(&path).unwrap()
+    });
 
     proptest! {
         #![proptest_config(ProptestConfig::with_cases(1000))]
 
         #[test]
         fn damaged_files_are_refused(seed in any::<u64>()) {
-            let whole = to_bytes(&frames()).unwrap();
-            let bytes = damage(&whole, &mut seeded_rng(seed, 0));
-            prop_assume!(bytes != whole);
-            prop_assert!(from_bytes::<Vec<Frame>>(&bytes).is_err());
+            let bytes = damage(&WHOLE, &mut seeded_rng(seed, 0));
+            prop_assume!(bytes != *WHOLE);
             let mut reader = Checked::new(bytes.as_slice());
             prop_assert!(value_of::<Vec<Frame>>(&mut reader).is_err());
         }

@@ -9,17 +9,17 @@ pub trait Progress: Sync {
     fn plan(&self, _: &Plan) {}
     /// A stage begins, with `total` steps where that is known; the same name again begins its next part, whose steps
     /// are counted from 0. `input` is read before the first stage.
-    fn begin(&self, stage: &str, total: Option<u64>);
+    fn begin(&self, _stage: &str, _total: Option<u64>) {}
     /// Another step is done.
-    fn step(&self);
+    fn step(&self) {}
     /// So many steps are done. Never goes back: fewer than before change nothing.
-    fn reach(&self, done: u64);
+    fn reach(&self, _done: u64) {}
     /// Something that a person should know, and that is no fault.
     fn note(&self, _: &str) {}
     /// The stage is over.
-    fn end(&self);
+    fn end(&self) {}
     /// A stage is left out because an earlier run had done it.
-    fn skip(&self, stage: &str);
+    fn skip(&self, _stage: &str) {}
     /// Returns true if the run is to end at the next unit of work: a frame, an object, a stage. Finished work stays.
     fn is_stopped(&self) -> bool {
         false
@@ -29,23 +29,12 @@ pub trait Progress: Sync {
 /// Says nothing.
 pub struct Silent;
 
-impl Progress for Silent {
-    fn begin(&self, _: &str, _: Option<u64>) {}
-    fn step(&self) {}
-    fn reach(&self, _: u64) {}
-    fn end(&self) {}
-    fn skip(&self, _: &str) {}
-}
+impl Progress for Silent {}
 
 /// Says nothing of how far a run is, and stops it where another one does.
 pub(in crate::pipeline) struct Muted<'a>(pub(in crate::pipeline) &'a dyn Progress);
 
 impl Progress for Muted<'_> {
-    fn begin(&self, _: &str, _: Option<u64>) {}
-    fn step(&self) {}
-    fn reach(&self, _: u64) {}
-    fn end(&self) {}
-    fn skip(&self, _: &str) {}
     fn is_stopped(&self) -> bool {
         self.0.is_stopped()
     }

@@ -1,13 +1,11 @@
 //! Detections on disk: one small file per frame, so that a run that was killed need not run the network again.
 
 use std::marker::PhantomData;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::files;
-use crate::io::{IoError, atomic};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::intermediate::{self, damaged};
 use crate::scene::{Detection, Frame, FrameId, Mask};
@@ -34,60 +32,40 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
     }
 
     pub(in crate::pipeline) fn write(&self, frame: &Frame, found: &[T]) -> Result<(), PipelineError> {
-        let path = self.path(frame.id);
-        let bytes = intermediate::to_bytes(found).map_err(|e| damaged(&path, e))?;
-        Ok(atomic::write(&path, &bytes)?)
-    }
-
-    /// Number of detections of a frame; zero for one that could not be decoded.
-    pub(in crate::pipeline) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
-        let path = self.path(frame);
-        let Some(bytes) = bytes_of(&path)? else { return Ok(0) };
-        let found: Vec<T> = intermediate::from_bytes(&bytes).map_err(|e| damaged(&path, e))?;
-        Ok(found.len() as u64)
+        intermediate::write(&self.path(frame.id), &found)
     }
 
     /// The things of a frame; none for one that could not be decoded.
     pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<T>, PipelineError> {
         let path = self.path(frame);
-        let Some(bytes) = bytes_of(&path)? else { return Ok(Vec::new()) };
-        intermediate::from_bytes(&bytes).map_err(|e| damaged(&path, e))
+        if path.is_file() { intermediate::read(&path) } else { Ok(Vec::new()) }
     }
 }
 
 /// A detection with its mask as run lengths, clear pixels first.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-struct Stored {
+pub(super) struct Stored {
     class: String,
     confidence: f64,
     runs: Vec<u32>,
 }
 
+impl From<Detection> for Stored {
+    fn from(Detection { class, confidence, mask }: Detection) -> Self {
+        Self { class, confidence, runs: runs_of_mask(&mask) }
+    }
+}
+
 /// The detections of a run, by frame.
 #[derive(Clone, Debug)]
 pub(in crate::pipeline) struct DetectionFolder {
-    files: FrameFolder<Stored>,
+    pub(super) files: FrameFolder<Stored>,
     size: (u32, u32),
 }
 
 impl DetectionFolder {
     pub(in crate::pipeline) fn new(folder: PathBuf, size: (u32, u32)) -> Self {
         Self { files: FrameFolder::new(folder), size }
-    }
-
-    pub(in crate::pipeline) fn has(&self, frame: &Frame) -> bool {
-        self.files.has(frame)
-    }
-
-    pub(in crate::pipeline) fn write(&self, frame: &Frame, detections: &[Detection]) -> Result<(), PipelineError> {
-        let stored =
-            |d: &Detection| Stored { class: d.class.clone(), confidence: d.confidence, runs: runs_of_mask(&d.mask) };
-        self.files.write(frame, &detections.iter().map(stored).collect::<Vec<_>>())
-    }
-
-    /// As [`FrameFolder::count`].
-    pub(in crate::pipeline) fn count(&self, frame: FrameId) -> Result<u64, PipelineError> {
-        self.files.count(frame)
     }
 
     /// The detections of a frame; none for one that could not be decoded.
@@ -98,15 +76,6 @@ impl DetectionFolder {
             Ok(Detection { class: s.class, confidence: s.confidence, mask })
         };
         self.files.read(frame)?.into_iter().map(detection).collect()
-    }
-}
-
-/// The content of a file; `None` where there is none.
-fn bytes_of(path: &Path) -> Result<Option<Vec<u8>>, PipelineError> {
-    match files::read(path) {
-        Ok(bytes) => Ok(Some(bytes)),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(None),
-        Err(error) => Err(IoError::system("read", path)(error).into()),
     }
 }
 
@@ -162,11 +131,10 @@ mod tests {
             .map(|inside: &fn(u32, u32) -> bool| Mask::from_fn(7, 5, inside))
             .map(|mask| Detection { class: "car".into(), confidence: 0.25, mask })
             .collect();
-        assert!(!store.has(&frame));
-        store.write(&frame, &found).unwrap();
-        assert!(store.has(&frame));
+        assert!(!store.files.has(&frame));
+        store.files.write(&frame, &found.iter().cloned().map(Stored::from).collect::<Vec<_>>()).unwrap();
+        assert!(store.files.has(&frame));
         assert_eq!(store.read(frame.id).unwrap(), found);
-        assert_eq!((store.count(frame.id).unwrap(), store.count(FrameId(4)).unwrap()), (3, 0));
         assert!(store.read(FrameId(4)).unwrap().is_empty());
     }
 
@@ -175,7 +143,8 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
         let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
-        store.write(&frame, &[Detection { class: "car".into(), confidence: 0.5, mask: Mask::empty(7, 5) }]).unwrap();
+        let found = Detection { class: "car".into(), confidence: 0.5, mask: Mask::empty(7, 5) };
+        store.files.write(&frame, &[found.into()]).unwrap();
         let bytes = std::fs::read(store.files.path(frame.id)).unwrap();
         for length in 0..bytes.len() {
             std::fs::write(store.files.path(frame.id), &bytes[..length]).unwrap();

@@ -3,19 +3,21 @@
 pub(in crate::pipeline) mod detections;
 pub(in crate::pipeline) mod schedule;
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
+use serde::de::DeserializeOwned;
 use serde_json::{Value, json};
 
-use crate::networks::{Segmenter, load_segmenter};
+use crate::image::RgbImage;
+use crate::networks::{PerceptionError, Segmenter, load_segmenter};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::{Networks, of_networks};
 use crate::pipeline::{Instances, PipelineError, Stage};
-use crate::scene::{BoxDetection, Frame, FrameId, Topic};
-use detections::{DetectionFolder, FrameFolder};
+use crate::scene::{BoxDetection, Frame, Topic};
+use detections::{DetectionFolder, FrameFolder, Stored};
 use schedule::Schedule;
 
 /// The boxes of a run, by frame.
@@ -73,15 +75,9 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pip
     let path = run.workspace.intermediate(MASKS, fingerprint)?;
     let store = masks_in(run, path.clone());
     let mut segmenter = load(run, model)?;
-    let Split { open, done } = split(run.frames()?.iter(), |frame| store.has(frame));
-    let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
-    let frames = (run.source.frames_at(open.clone())?, open.len());
-    images::for_each(run, Stage::Segment, frames, &mut outcome, |frame, picture| {
-        let detections = segmenter.segment(&picture)?;
-        found += detections.len() as u64;
-        store.write(&frame, &detections)
+    let found = search(run, run.frames()?.iter(), &store.files, &mut outcome, |picture| {
+        Ok(segmenter.segment(picture)?.into_iter().map(Stored::from).collect())
     })?;
-    outcome.figure("num_detections", found);
     if found == 0 {
         outcome.warn(Topic::ModelFindsNoVehicle.warning(format!(
             "{}: no vehicle detected in any frame; the network may not know such views, or the vehicles are too small \
@@ -103,27 +99,30 @@ fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let store = BoxFolder::new(path);
     let rhythm = Schedule::of(run)?;
     let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));
-    let Split { open, done } = split(looked.map(|(_, frame)| frame), |frame| store.has(frame));
-    let mut found = done.iter().map(|frame| store.count(*frame)).sum::<Result<u64, _>>()?;
-    let frames = (run.source.frames_at(open.clone())?, open.len());
-    images::for_each(run, Stage::Segment, frames, &mut outcome, |frame, picture| {
-        let boxes = detector.detect(&picture)?;
-        found += boxes.len() as u64;
-        store.write(&frame, &boxes)
-    })?;
-    outcome.figure("num_detections", found);
+    search(run, looked.map(|(_, frame)| frame), &store, &mut outcome, |picture| detector.detect(picture))?;
     Ok(outcome)
 }
 
-/// The frames to look at: those that a run that was stopped did, and the others.
-struct Split {
-    open: BTreeSet<FrameId>,
-    done: Vec<FrameId>,
-}
-
-fn split<'a>(frames: impl Iterator<Item = &'a Frame>, is_done: impl Fn(&Frame) -> bool) -> Split {
-    let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| is_done(frame));
+/// Looks at the frames that an earlier run has not finished. Returns the number of things in all frames.
+fn search<'a, T: Serialize + DeserializeOwned>(
+    run: &Run,
+    frames: impl Iterator<Item = &'a Frame>,
+    store: &FrameFolder<T>,
+    outcome: &mut Outcome,
+    mut look: impl FnMut(&RgbImage) -> Result<Vec<T>, PerceptionError>,
+) -> Result<usize, PipelineError> {
+    let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| store.has(frame));
     tracing::debug!("{} of {} frames already processed", done.len(), done.len() + open.len());
-    let ids = |frames: Vec<&Frame>| frames.into_iter().map(|frame| frame.id).collect::<Vec<_>>();
-    Split { open: ids(open).into_iter().collect(), done: ids(done) }
+    let mut found = 0;
+    for frame in done {
+        found += store.read(frame.id)?.len();
+    }
+    let frames = (run.source.frames_at(open.iter().map(|frame| frame.id).collect())?, open.len());
+    images::for_each(run, Stage::Segment, frames, outcome, |frame, picture| {
+        let things = look(&picture)?;
+        found += things.len();
+        store.write(&frame, &things)
+    })?;
+    outcome.figure("num_detections", found);
+    Ok(found)
 }
