@@ -167,7 +167,6 @@ mod tests {
         let scale = ScaleEstimate { std: Some(0.02), ..ScaleEstimate::new(2.0, ScaleMethod::Joint) };
         let poses = (3..=12).map(pose).collect();
         let verdict = Some(judged(Trust::Good, Vec::new()));
-        let (class, ground) = ("car".into(), [].into());
         let path_units = Estimate { value: 0.45, std: 0.01 };
         let travel = Some(Travel {
             path_units,
@@ -177,19 +176,7 @@ mod tests {
             mean_speed_m_s: None,
             max_speed_m_s: None,
         });
-        let dimensions = None;
-        ObjectTrajectory {
-            id: ObjectId(id),
-            class,
-            confidence: 1.0,
-            scale,
-            ground,
-            body_center: None,
-            verdict,
-            dimensions,
-            travel,
-            poses,
-        }
+        ObjectTrajectory { verdict, travel, poses, ..ObjectTrajectory::new(ObjectId(id), "car", 1.0, scale) }
     }
 
     fn summary(vehicles: impl IntoIterator<Item = (u32, Vehicle)>, time_base: TimeBase) -> Summary {

@@ -261,17 +261,9 @@ mod tests {
             std_without: Some(0.088),
             degenerate_without: false,
         };
-        let vehicle = |camera_path| ObjectTrajectory {
-            id: ObjectId(4),
-            class: "car".into(),
-            confidence: 1.0,
-            scale: ScaleEstimate { camera_path, ..ScaleEstimate::new(2.02, ScaleMethod::Joint) },
-            ground: std::collections::BTreeMap::new(),
-            body_center: None,
-            verdict: None,
-            dimensions: None,
-            travel: None,
-            poses: Vec::new(),
+        let vehicle = |camera_path| {
+            let scale = ScaleEstimate { camera_path, ..ScaleEstimate::new(2.02, ScaleMethod::Joint) };
+            ObjectTrajectory::new(ObjectId(4), "car", 1.0, scale)
         };
         let case = Case::of_stationary("street", "seed-1", &vehicle(Some(path))).unwrap();
         assert_eq!((case.sequence.as_str(), case.residual), ("street, vehicle 4", Some(0.01)));

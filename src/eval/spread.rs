@@ -151,19 +151,7 @@ mod tests {
         };
         let scale = ScaleEstimate { std: Some(0.06), ..ScaleEstimate::new(2.0, ScaleMethod::Joint) };
         let poses = (0..8).map(pose).collect();
-        let (id, class, ground) = (ObjectId(1), "car".into(), BTreeMap::new());
-        let car = ObjectTrajectory {
-            id,
-            class,
-            confidence: 1.0,
-            scale,
-            ground,
-            body_center: None,
-            verdict: None,
-            dimensions: None,
-            travel: None,
-            poses,
-        };
+        let car = ObjectTrajectory { poses, ..ObjectTrajectory::new(ObjectId(1), "car", 1.0, scale) };
         let cameras =
             (0..8).map(|k| (FrameId(k), Rigid3::from_rotation_and_center(UnitQuaternion::identity(), camera(k))));
         let trajectories =

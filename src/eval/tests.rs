@@ -94,18 +94,7 @@ fn world(num_frames: u32, camera_center: impl Fn(f64) -> Point3<f64>) -> Input {
 fn some_trajectory(ratio: f64) -> ObjectTrajectory {
     let alternatives = [(ScaleMethod::ConstantDistance, ratio), (ScaleMethod::Intersection, ratio * 0.9)].into();
     let scale = ScaleEstimate { alternatives, ..ScaleEstimate::new(ratio, ScaleMethod::ConstantDistance) };
-    ObjectTrajectory {
-        id: ObjectId(1),
-        class: "car".into(),
-        confidence: 1.0,
-        scale,
-        ground: BTreeMap::new(),
-        body_center: None,
-        verdict: None,
-        dimensions: None,
-        travel: None,
-        poses: vec![],
-    }
+    ObjectTrajectory::new(ObjectId(1), "car", 1.0, scale)
 }
 
 fn curve(t: f64) -> Point3<f64> {

@@ -485,20 +485,13 @@ mod tests {
             support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),
             camera_path: None,
         };
-        let (class, confidence, poses) = ("car".into(), 0.93, vec![pose(0), pose(2)]);
         let reasons = vec![Reason::doubts(ReasonKind::Shape, 0.5, "nearly as long as high")];
         let verdict = Some(Verdict { state: Trust::Fair, reasons });
         let object = ObjectTrajectory {
-            id: ObjectId(1),
-            class,
-            confidence,
-            scale,
             ground: [(PlaneBasis::Mount, 2)].into(),
-            body_center: None,
             verdict,
-            dimensions: None,
-            travel: None,
-            poses,
+            poses: vec![pose(0), pose(2)],
+            ..ObjectTrajectory::new(ObjectId(1), "car", 0.93, scale)
         };
         Trajectories { unit: Unit::Background, metric: None, objects: vec![object], ground_tracks: Vec::new() }
     }

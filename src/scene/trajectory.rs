@@ -238,6 +238,22 @@ pub struct ObjectTrajectory {
 }
 
 impl ObjectTrajectory {
+    /// A trajectory without poses, of which nothing but the scale ratio is known.
+    pub fn new(id: ObjectId, class: impl Into<String>, confidence: f64, scale: ScaleEstimate) -> Self {
+        Self {
+            id,
+            class: class.into(),
+            confidence,
+            scale,
+            ground: BTreeMap::new(),
+            body_center: None,
+            verdict: None,
+            dimensions: None,
+            travel: None,
+            poses: Vec::new(),
+        }
+    }
+
     /// Headings without jumps at north, degrees: each within half a turn of the one before, and their mean from 0 to
     /// 360. One per pose; `None` where none is known.
     pub fn unwrapped_headings_deg(&self) -> Vec<Option<f64>> {

@@ -271,20 +271,13 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         alternatives: alternatives.into(),
         ..ScaleEstimate::new(ratio * wrong, ScaleMethod::ConstantDistance)
     };
-    let class = if id == CAR { "car" } else { "van" }.to_owned();
-    let confidence = if id == CAR { 0.93 } else { 0.78 };
-    let verdict = Some(if degenerate { undetermined() } else { sound() });
+    let (class, confidence) = if id == CAR { ("car", 0.93) } else { ("van", 0.78) };
     let trajectory = ObjectTrajectory {
-        id,
-        class,
-        confidence,
-        scale,
-        ground: BTreeMap::new(),
-        body_center: None,
-        verdict,
+        verdict: Some(if degenerate { undetermined() } else { sound() }),
         dimensions: Some(dimensions(size_m)),
         travel: Some(travel(&poses, result.background_from_metric.scale)),
         poses,
+        ..ObjectTrajectory::new(id, class, confidence, scale)
     };
     Vehicle { model, trajectory, visible, size_m }
 }

@@ -38,19 +38,7 @@ pub fn assemble(
     let mut poses = poses(background, object, scale.ratio, frames);
     poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
     let ObjectDescription { id, class, confidence } = description;
-    let ground = BTreeMap::new();
-    let mut trajectory = ObjectTrajectory {
-        id,
-        class,
-        confidence,
-        scale,
-        ground,
-        body_center: None,
-        verdict: None,
-        dimensions: None,
-        travel: None,
-        poses,
-    };
+    let mut trajectory = ObjectTrajectory { poses, ..ObjectTrajectory::new(id, class, confidence, scale) };
     if unit == Unit::Metre {
         set_speeds(&mut trajectory);
     }

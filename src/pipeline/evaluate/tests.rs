@@ -82,18 +82,7 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         ..ScaleEstimate::new(ratio, ScaleMethod::ConstantDistance)
     };
     let poses = placements.iter().map(pose).collect();
-    let object = ObjectTrajectory {
-        id: ObjectId(1),
-        class: "car".into(),
-        confidence: 1.0,
-        scale,
-        ground: BTreeMap::new(),
-        body_center: None,
-        verdict: None,
-        dimensions: None,
-        travel: None,
-        poses,
-    };
+    let object = ObjectTrajectory { poses, ..ObjectTrajectory::new(ObjectId(1), "car", 1.0, scale) };
     let all = Trajectories { unit: Unit::Background, metric: None, objects: vec![object], ground_tracks: Vec::new() };
     trajectories::write(&out.join("trajectories.json"), &all).unwrap();
     for frame in &sequence.frames {

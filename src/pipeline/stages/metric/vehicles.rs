@@ -247,18 +247,9 @@ mod tests {
 
     /// A car 4.3 units long that can be trusted so far, with its size.
     fn car(id: u32, factor: f64, state: Trust) -> (ObjectTrajectory, (ObjectId, Size)) {
-        let trajectory = ObjectTrajectory {
-            id: ObjectId(id),
-            class: "car".to_owned(),
-            confidence: 1.0,
-            scale: ScaleEstimate::new(1.0, ScaleMethod::Joint),
-            ground: BTreeMap::new(),
-            body_center: None,
-            verdict: Some(Verdict { state, reasons: Vec::new() }),
-            dimensions: None,
-            travel: None,
-            poses: Vec::new(),
-        };
+        let scale = ScaleEstimate::new(1.0, ScaleMethod::Joint);
+        let mut trajectory = ObjectTrajectory::new(ObjectId(id), "car", 1.0, scale);
+        trajectory.verdict = Some(Verdict { state, reasons: Vec::new() });
         let extent = |units: f64| Some(Estimate { value: factor * units, std: 0.02 * factor * units });
         (trajectory, (ObjectId(id), Size { length: extent(4.3), width: extent(1.8), height: extent(1.48) }))
     }

@@ -193,16 +193,8 @@ mod tests {
 
     fn trajectory(state: Trust) -> ObjectTrajectory {
         ObjectTrajectory {
-            id: ObjectId(1),
-            class: "car".to_owned(),
-            confidence: 1.0,
-            scale: ScaleEstimate::new(1.0, ScaleMethod::Joint),
-            ground: BTreeMap::new(),
-            body_center: None,
             verdict: Some(Verdict { state, reasons: vec![Reason::doubts(ReasonKind::Size, 1.0, "half as large")] }),
-            dimensions: None,
-            travel: None,
-            poses: Vec::new(),
+            ..ObjectTrajectory::new(ObjectId(1), "car", 1.0, ScaleEstimate::new(1.0, ScaleMethod::Joint))
         }
     }
 
