@@ -92,10 +92,9 @@ impl Identity {
 
 /// Options that the result depends on besides named files. Threads and memory are not among them.
 fn of_options(options: &Options) -> Value {
-    let revisions: Vec<u32> = Stage::ALL.into_iter().map(Stage::revision).collect();
     let options = Options { threads: None, memory_limit: None, ..options.clone() };
     let networks = (options.instances == Instances::Vehicles).then(|| shipped(options.provider));
-    json!({ "revisions": revisions, "networks": networks, "options": options })
+    json!({ "networks": networks, "options": options })
 }
 
 /// The networks that come with the program, wherever they lie, and whether there is what runs them.

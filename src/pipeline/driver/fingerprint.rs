@@ -24,7 +24,7 @@ fn of_value_in(version: &str, value: &impl Serialize) -> String {
 /// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the
 /// stages that it builds on.
 pub(in crate::pipeline) fn of_stage(stage: Stage, cache_key: &Value, upstream: &[&str]) -> String {
-    of_value(&json!([stage, stage.revision(), cache_key, upstream]))
+    of_value(&json!([stage, cache_key, upstream]))
 }
 
 /// Hash of the content of a file, or of the names and contents of the files directly in a folder, hidden ones aside.

@@ -99,20 +99,6 @@ impl Stage {
         found
     }
 
-    /// Revision of a stage's results, for releases: raised when they change although the options do not, so that
-    /// results of an older release are not reused. In every other build the hash of the sources ([`crate::VERSION`])
-    /// does that.
-    pub(in crate::pipeline) fn revision(self) -> u32 {
-        match self {
-            Self::Scale => 11,
-            Self::Objects | Self::Track => 7,
-            Self::Background | Self::Motion => 6,
-            Self::Features | Self::Ground => 5,
-            Self::Follow | Self::Metric => 4,
-            Self::Frames | Self::Segment | Self::Report => 3,
-        }
-    }
-
     /// The stage of a name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|stage| stage.name() == name)
