@@ -13,20 +13,15 @@ use nalgebra::{Matrix3, Point3, Vector3};
 use super::line::GeoPosition;
 use super::telemetry::{Current, TelemetryFeed};
 use crate::metric::{
-    Alignment, CameraPath, Fused, Gravity, Kind, Measured, ObservedPoint, Offset, Source, Support, align_to_fixes,
-    frame_on_map, fuse, place_std_m,
+    Alignment, CameraPath, DRIFT, Fused, Gravity, Kind, Measured, ObservedPoint, Offset, Source, Support,
+    align_to_fixes, frame_on_map, fuse, place_std_m,
 };
-use crate::pipeline::{MetricOptions, OnMap, Station, dates_of_log, gimbal_orientation};
-use crate::scene::{ClockZone, Frame, FrameId, MapOrigin, MetricFrame, MetricVerdict, Reconstruction};
-use crate::telemetry::{Geodetic, LocalFixes, LocalFrame, Log, TimeBase, date};
+use crate::pipeline::{MetricOptions, OnMap, Station, dates_of_log, gimbal_orientation, map_origin};
+use crate::scene::{ClockZone, Frame, FrameId, MetricFrame, Reconstruction};
+use crate::telemetry::{LocalFixes, LocalFrame, Log, TimeBase, date};
 
 /// Length of the path, seconds: a baseline of hundreds of meters, over which maps drift by a few per cent.
 const PATH_S: f64 = 60.0;
-/// Error of camera centers as a share of the path, at least; as in the stage `metric`.
-const DRIFT: f64 = 0.002;
-/// Standard deviation of the offset of a log whose times count from its own beginning, seconds: as well as people press
-/// two buttons at once; as in the stage `metric`.
-const TWO_BUTTONS_S: f64 = 2.0;
 /// Standard deviations by which the arrival of a camera's own log may contradict its times.
 const CONSISTENT: f64 = 3.0;
 /// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change
@@ -151,9 +146,9 @@ impl Georeferencer {
         frames: &[Frame],
         options: &MetricOptions,
     ) -> Result<Station, String> {
-        let Fixes { current, local, epoch_s } = self.fixes()?;
-        let offset = offset(&current, local.times, epoch_s, options);
-        Station::new(local, epoch_s, offset, frames, model, &current.log.fixes)
+        let (current, local) = self.fixes()?;
+        let offset = offset(&current, &local, options);
+        Station::new(local, offset, frames, model, &current.log.fixes)
     }
 
     /// UTC at the beginning of the video, seconds after 1970; `None` where the log has none.
@@ -161,13 +156,11 @@ impl Georeferencer {
         utc_start_s(&self.feed.current().ok()?.log, station.clock_offset_s(), options)
     }
 
-    fn fixes(&self) -> Result<Fixes, String> {
+    /// The log by now, and its fixes.
+    fn fixes(&self) -> Result<(Current, LocalFixes), String> {
         let current = self.feed.current().map_err(|error| error.to_string())?;
         let local = current.log.local_fixes().ok_or("no position with a time")?;
-        // Seconds after 1970 have too few digits for steps of milliseconds.
-        let first_s = local.fixes.first().map_or(0.0, |fix| fix.time_s);
-        let epoch_s = if local.times == TimeBase::Clock { first_s } else { 0.0 };
-        Ok(Fixes { current, local, epoch_s })
+        Ok((current, local))
     }
 
     /// The map, and meters per unit by it.
@@ -177,76 +170,54 @@ impl Georeferencer {
             let log = self.feed.current().map_err(|error| error.to_string())?.log;
             let station = self.station(model, frames, options)?;
             let alignment = station.alignment().ok_or("no gimbal angles, and the camera does not translate")?;
-            let of_height = station.height().map(|height_m| {
-                let (log_scale, std) = height_m.log_ratio(&height);
-                Source { name: "height above take-off".to_owned(), kind: Kind::Telemetry, log_scale, std }
-            });
+            let of_height = station.source_of_height(&height);
             let clock_offset_s = station.clock_offset_s();
             (alignment, of_height, station.map, station.knows_height, clock_offset_s, log)
         } else {
-            let Fixes { current, mut local, epoch_s } = self.fixes()?;
-            local.fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
+            let (current, local) = self.fixes()?;
             let path = self.camera_path()?;
-            let offset = offset(&current, local.times, epoch_s, options);
+            let offset = offset(&current, &local, options);
             let orientation = match offset {
-                Offset::Known { mean_s, .. } => gimbal_orientation(model, frames, &current.log.fixes, epoch_s + mean_s),
+                Offset::Known { mean_s, .. } => {
+                    gimbal_orientation(model, frames, &current.log.fixes, local.epoch_s + mean_s)
+                }
                 Offset::Unknown => None,
             };
             let support = Support { offset, gravity: gravity.filter(|_| orientation.is_none()), orientation };
             let alignment = align_to_fixes(&path, &local.fixes, &support).map_err(|refusal| refusal.to_string())?;
-            let of_path = source(&alignment, "telemetry", Kind::Telemetry);
-            let clock_offset_s = epoch_s + alignment.offset_s;
+            let of_path = alignment.source("telemetry", Kind::Telemetry);
+            let clock_offset_s = local.epoch_s + alignment.offset_s;
             (alignment, Some(of_path), local.frame, local.knows_height, clock_offset_s, current.log)
         };
         let all: Vec<Source> = sources.iter().cloned().chain(scale.clone()).collect();
         let fused = fuse(&all).ok_or("no scale")?;
-        let frame = frame_on_map(&fused, &alignment, origin(&map, knows_height));
+        let frame = frame_on_map(&fused, &alignment, map_origin(&map, knows_height));
         let utc_start_s = utc_start_s(&log, clock_offset_s, options);
         Ok((Georeference { frame, map, knows_height, utc_start_s, alignment, drift }, scale))
     }
 
     fn camera_path(&self) -> Result<CameraPath, String> {
-        let centers: Vec<(f64, Point3<f64>)> =
-            self.path.values().map(|visited| (visited.time_s, visited.center)).collect();
-        let length: f64 = centers.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).sum();
+        let centers = self.path.values().map(|visited| (visited.time_s, visited.center)).collect();
         let drifts = || self.path.values().map(|visited| visited.drift);
         let drift = drifts().next_back().unwrap_or(0.0) - drifts().next().unwrap_or(0.0);
-        let center_std = length * DRIFT.max(drift.max(0.0).sqrt());
-        CameraPath::new(centers, center_std).ok_or_else(|| "fewer than two frames registered".to_owned())
+        CameraPath::with_drift(centers, DRIFT.max(drift.max(0.0).sqrt()))
+            .ok_or_else(|| "fewer than two frames registered".to_owned())
     }
-}
-
-/// A log by now.
-struct Fixes {
-    current: Current,
-    local: LocalFixes,
-    /// Epoch from which times count in which milliseconds matter, seconds of the log's clock.
-    epoch_s: f64,
-}
-
-fn source(alignment: &Alignment, name: &str, kind: Kind) -> Source {
-    let (log_scale, std) = (alignment.metric_from_world.scale.ln(), alignment.log_scale_std());
-    Source { name: name.to_owned(), kind, log_scale, std }
-}
-
-fn origin(map: &LocalFrame, knows_height: bool) -> MapOrigin {
-    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
-    MapOrigin { longitude, latitude, height_m, knows_height }
 }
 
 /// Prior on the time between the clocks.
-fn offset(current: &Current, times: TimeBase, epoch_s: f64, options: &MetricOptions) -> Offset {
+fn offset(current: &Current, local: &LocalFixes, options: &MetricOptions) -> Offset {
+    let LocalFixes { times, epoch_s, .. } = *local;
     if let Some(given) = options.time_offset {
         return Offset::Known { mean_s: given.mean_s, std_s: given.std_s };
     }
-    let of_camera = |dialect: &&str| dialect.starts_with("dji") || dialect.starts_with("gpmf");
-    let is_of_camera = times == TimeBase::Video && current.log.dialects().keys().any(of_camera);
+    let is_of_camera = times == TimeBase::Video && current.log.is_of_camera();
     match current.by_arrival {
         Some((mean_s, std_s)) if !is_of_camera || mean_s.abs() > CONSISTENT * std_s => {
             Offset::Known { mean_s: mean_s - epoch_s, std_s }
         }
         _ if is_of_camera => Offset::SAME_FILE,
-        _ if times == TimeBase::Video => Offset::Known { mean_s: 0.0, std_s: TWO_BUTTONS_S },
+        _ if times == TimeBase::Video => Offset::TWO_BUTTONS,
         _ => Offset::Unknown,
     }
 }
@@ -262,22 +233,15 @@ impl Georeference {
     /// * `utc_start_s` – UTC at the beginning of the video, seconds after 1970.
     pub(super) fn on_map(found: OnMap, utc_start_s: Option<f64>) -> Self {
         let OnMap { alignment, map, knows_height } = found;
-        let scale = source(&alignment, MAP_POINTS, Kind::Surveyed);
-        let shares = Vec::new();
-        let fused = Fused {
-            scale: scale.log_scale.exp(),
-            std: scale.std,
-            verdict: MetricVerdict::Unknown,
-            shares,
-            contradictions: Vec::new(),
-        };
-        let frame = frame_on_map(&fused, &alignment, origin(&map, knows_height));
+        let scale = alignment.source(MAP_POINTS, Kind::Surveyed);
+        let fused = Fused::of_scale(scale.log_scale.exp(), scale.std);
+        let frame = frame_on_map(&fused, &alignment, map_origin(&map, knows_height));
         Self { frame, map, knows_height, utc_start_s, alignment, drift: 0.0 }
     }
 
     /// Meters per unit by the points of a map.
     pub(super) fn of_map_points(&self) -> Source {
-        source(&self.alignment, MAP_POINTS, Kind::Surveyed)
+        self.alignment.source(MAP_POINTS, Kind::Surveyed)
     }
 
     /// A position of the maps on the ellipsoid.

@@ -16,7 +16,17 @@ const MAX_STEPS: f64 = 5.0;
 /// … if they are longer than this, seconds.
 const MIN_GAP_S: f64 = 1.0;
 
+/// Error of camera centers as a share of the path, at least: the drift of reconstructions.
+pub const DRIFT: f64 = 0.002;
+
 impl CameraPath {
+    /// As [`CameraPath::new`], with a standard deviation that is a share of the length.
+    pub fn with_drift(poses: Vec<(f64, Point3<f64>)>, share: f64) -> Option<Self> {
+        let steps = poses.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm());
+        let length: f64 = steps.filter(|step| step.is_finite()).sum();
+        Self::new(poses, share * length)
+    }
+
     /// From times (seconds of the video) and centres. Entries whose time does not rise, or that are not finite, are
     /// left out; `None` if fewer than two are left.
     pub fn new(poses: impl IntoIterator<Item = (f64, Point3<f64>)>, center_std: f64) -> Option<Self> {

@@ -48,6 +48,13 @@ pub struct Fused {
     pub contradictions: Vec<MetricContradiction>,
 }
 
+impl Fused {
+    /// Meters per unit without sources that could contradict one another.
+    pub fn of_scale(scale: f64, std: f64) -> Self {
+        Self { scale, std, verdict: MetricVerdict::Unknown, shares: Vec::new(), contradictions: Vec::new() }
+    }
+}
+
 /// Sources further apart than this contradict each other.
 const MAX_DEVIATIONS: f64 = 3.0;
 

@@ -24,7 +24,7 @@ mod vehicles;
 
 pub use align::{Alignment, Gravity, Offset, Orientation, Refusal, Support, align_to_fixes};
 pub use attitude::{metric_from_cam, orientation};
-pub use camera_path::CameraPath;
+pub use camera_path::{CameraPath, DRIFT};
 pub use fix::PositionFix;
 pub use fusion::{Fused, Kind, Source, fuse};
 pub use known::{KnownLength, KnownLengthError};

@@ -265,6 +265,11 @@ impl Log {
         counts
     }
 
+    /// Returns true if the camera itself wrote positions.
+    pub fn is_of_camera(&self) -> bool {
+        self.fixes.iter().any(|fix| fix.dialect.starts_with("dji") || fix.dialect.starts_with("gpmf"))
+    }
+
     /// Notes what gave no fix.
     pub(super) fn pass_over(&mut self, line: usize, reason: impl Into<String>) {
         self.num_passed_over += 1;

@@ -43,6 +43,9 @@ pub struct LocalFixes {
     pub heights: Heights,
     /// Origin of their times.
     pub times: TimeBase,
+    /// Time from which those of the fixes count, seconds from the origin: seconds after 1970 have too few digits for
+    /// steps of milliseconds.
+    pub epoch_s: f64,
 }
 
 /// Standard deviation of a height by air pressure over a flight, metres: weather and wind at the sensor.
@@ -65,7 +68,7 @@ impl Log {
     /// The same at other times, such as those of photographs by their names.
     pub fn local_fixes_at(&self, times: TimeBase, time_s: impl Fn(&Fix) -> Option<f64>) -> Option<LocalFixes> {
         let timed: Vec<(&Fix, f64)> = self.fixes.iter().filter_map(|fix| Some((fix, time_s(fix)?))).collect();
-        let (first, _) = timed.first()?;
+        let (first, first_s) = timed.first()?;
         let heights = self.heights();
         let takeoff_m = self.takeoff_height_m();
         let origin_height_m = match heights {
@@ -79,13 +82,14 @@ impl Log {
             height_m: origin_height_m,
         };
         let frame = LocalFrame::at(origin);
-        let fixes = timed.iter().map(|(fix, time_s)| local(fix, *time_s, &frame, heights)).collect();
+        let epoch_s = if times == TimeBase::Clock { *first_s } else { 0.0 };
+        let fixes = timed.iter().map(|(fix, time_s)| local(fix, *time_s - epoch_s, &frame, heights)).collect();
         let knows_height = match heights {
             Heights::Relative => takeoff_m.is_some(),
             Heights::Absolute => true,
             Heights::Absent => false,
         };
-        Some(LocalFixes { frame, knows_height, fixes, heights, times })
+        Some(LocalFixes { frame, knows_height, fixes, heights, times, epoch_s })
     }
 
     /// True if every fix belongs to an image by its name: the log of a folder, not of a clock.

@@ -4,7 +4,7 @@ use super::super::georeference;
 use super::{Ground, Mapper};
 use crate::ground::camera_height;
 use crate::metric::{Fused, Gravity, Kind, Level, Measured, Source, frame_on_ground, fuse};
-use crate::scene::{Frame, MetricFrame, MetricVerdict, Reconstruction};
+use crate::scene::{Frame, MetricFrame, Reconstruction};
 
 /// Time from the first map on over which the camera's height is measured, seconds. Then the meters are held: a local
 /// frame whose unit changes as the camera climbs would be of no use.
@@ -66,9 +66,7 @@ impl Mapper {
         let known = fuse(&sources);
         let is_metric = known.is_some();
         let nominal = *self.held.nominal.get_or_insert(height.map_or(1.0, |height| NOMINAL_HEIGHT_M / height.value));
-        let verdict = MetricVerdict::Unknown;
-        let unit = || Fused { scale: nominal, std: 0.0, verdict, shares: Vec::new(), contradictions: Vec::new() };
-        let fused = known.unwrap_or_else(unit);
+        let fused = known.unwrap_or_else(|| Fused::of_scale(nominal, 0.0));
         (frame_on_ground(&fused, &level), is_metric)
     }
 }

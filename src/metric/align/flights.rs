@@ -133,11 +133,9 @@ fn row(name: &str, rate_hz: f64, offset: Offset, num: u64) -> [f64; 3] {
     [rms(0), rms(2), within(0, 1.0)]
 }
 
-const TWO_BUTTONS: Offset = Offset::Known { mean_s: 0.0, std_s: 2.0 };
-
 #[test]
 fn a_minute_of_a_drone_gives_metres_to_two_per_cent() {
-    let [scale, offset_s, within] = row("10 Hz", 10.0, TWO_BUTTONS, 40);
+    let [scale, offset_s, within] = row("10 Hz", 10.0, Offset::TWO_BUTTONS, 40);
     assert!(scale < 0.02 && offset_s < 0.25, "{scale} {offset_s}");
     // Of 40 flights 68 ± 7.4 % lie within one deviation.
     assert!((0.45..=0.92).contains(&within), "{within}");
@@ -148,7 +146,7 @@ fn a_minute_of_a_drone_gives_metres_to_two_per_cent() {
 #[ignore = "a table of five hundred flights"]
 fn table_of_flights_of_a_minute() {
     for (rate_hz, rate) in [(1.0, "1 Hz"), (10.0, "10 Hz")] {
-        for (offset, clock) in [(TWO_BUTTONS, "taken for 0 ± 2 s"), (Offset::Unknown, "clock unknown")] {
+        for (offset, clock) in [(Offset::TWO_BUTTONS, "taken for 0 ± 2 s"), (Offset::Unknown, "clock unknown")] {
             row(&format!("{rate}, 0.7 s late, {clock}"), rate_hz, offset, 200);
         }
     }

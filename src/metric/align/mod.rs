@@ -26,7 +26,7 @@ mod tests;
 use nalgebra::{Matrix3, Point3, SMatrix, UnitQuaternion, Vector3};
 
 use super::fix::distinct;
-use super::{CameraPath, PositionFix};
+use super::{CameraPath, Kind, PositionFix, Source};
 use crate::math::Sim3;
 
 /// Prior on the offset between the log's clock and the video's: log = video + offset.
@@ -46,6 +46,8 @@ pub enum Offset {
 impl Offset {
     /// Of a log inside the video or next to it as its subtitles: what receivers are late.
     pub const SAME_FILE: Self = Self::Known { mean_s: 0.0, std_s: 0.2 };
+    /// Of a log whose times count from its own beginning: as well as people press two buttons at once.
+    pub const TWO_BUTTONS: Self = Self::Known { mean_s: 0.0, std_s: 2.0 };
 }
 
 /// Where up is in the frame of the background.
@@ -111,6 +113,12 @@ impl Alignment {
     /// Standard deviation of log s: that of the metres per unit as a share of them.
     pub fn log_scale_std(&self) -> f64 {
         self.covariance[(0, 0)].sqrt()
+    }
+
+    /// Meters per unit by the alignment.
+    pub fn source(&self, name: &str, kind: Kind) -> Source {
+        let (log_scale, std) = (self.metric_from_world.scale.ln(), self.log_scale_std());
+        Source { name: name.to_owned(), kind, log_scale, std }
     }
 
     /// Standard deviation of up, radians.

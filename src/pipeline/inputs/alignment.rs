@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use super::clock_offsets;
 use super::telemetry::{Origin, Telemetry};
-use crate::metric::{Alignment, CameraPath, Offset, Refusal, Support, align_to_fixes};
+use crate::metric::{Alignment, CameraPath, DRIFT, Offset, Refusal, Support, align_to_fixes};
 use crate::pipeline::driver::run::Run;
-use crate::scene::{Frame, Image, Reconstruction, TimeBase};
-use crate::telemetry::{self, Fix, LocalFixes, LocalFrame};
+use crate::scene::{Frame, Image, MapOrigin, Reconstruction, TimeBase};
+use crate::telemetry::{self, Fix, Geodetic, LocalFixes, LocalFrame};
 
 /// A log on the camera's path.
 pub(in crate::pipeline) struct FittedLog {
@@ -19,9 +19,6 @@ pub(in crate::pipeline) struct FittedLog {
     /// Why the log does not fit at the offset that it states.
     pub(in crate::pipeline) refusal: Option<Refusal>,
 }
-
-/// Deviation of camera centres, as a share of the way: what reconstructions drift by.
-const DRIFT: f64 = 0.002;
 
 /// Lays a log onto the background's path.
 ///
@@ -39,8 +36,7 @@ pub(in crate::pipeline) fn fit(
     if !telemetry.origin.is_of_images() && run.info().time_base() == TimeBase::Frames {
         return Err("frames without times; give --fps RATE".to_owned());
     }
-    let (LocalFixes { frame: map, knows_height, mut fixes, times, .. }, epoch_s) = local_fixes(telemetry, frames)?;
-    fixes.iter_mut().for_each(|fix| fix.time_s -= epoch_s);
+    let LocalFixes { frame: map, knows_height, fixes, times, epoch_s, .. } = local_fixes(telemetry, frames)?;
     let path = camera_path(background, frames)?;
     let log_s = fixes.iter().map(|fix| fix.time_s).fold(0.0, f64::max);
     let mut refusal = None;
@@ -69,34 +65,33 @@ fn is_finite(alignment: &Alignment) -> bool {
     values.into_iter().all(|value| value.is_finite())
 }
 
-/// The fixes in metres, and the time from which the log's clock is to be counted: seconds after 1970 have too few
-/// digits for a step of milliseconds.
-pub(super) fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<(LocalFixes, f64), String> {
+/// The fixes in metres.
+pub(super) fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<LocalFixes, String> {
     let by_name: BTreeMap<&str, f64> = frames.iter().map(|frame| (frame.name.as_str(), frame.time_s)).collect();
     let of_photograph = |fix: &Fix| by_name.get(fix.photograph.as_deref()?).copied();
     let local = match telemetry.origin {
         Origin::Photographs | Origin::ByName => telemetry.log.local_fixes_at(telemetry::TimeBase::Video, of_photograph),
         Origin::Named | Origin::Beside | Origin::Inside => telemetry.log.local_fixes(),
     };
-    let local = local.ok_or("no position with a time")?;
-    let first_s = local.fixes.first().map_or(0.0, |fix| fix.time_s);
-    let epoch_s = if local.times == telemetry::TimeBase::Clock { first_s } else { 0.0 };
-    Ok((local, epoch_s))
+    Ok(local.ok_or("no position with a time")?)
 }
 
 /// The camera's centres in the order of time.
-pub(in crate::pipeline) fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPath, String> {
+fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPath, String> {
     let seen = registered(background, frames);
-    let poses: Vec<_> = seen.iter().map(|(frame, image)| (frame.time_s, image.cam_from_world.center())).collect();
-    let way: f64 = poses.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).filter(|step| step.is_finite()).sum();
-    CameraPath::new(poses, DRIFT * way).ok_or_else(|| "fewer than two frames registered".to_owned())
+    let poses = seen.iter().map(|(frame, image)| (frame.time_s, image.cam_from_world.center())).collect();
+    CameraPath::with_drift(poses, DRIFT).ok_or_else(|| "fewer than two frames registered".to_owned())
 }
 
 pub(in crate::pipeline) fn registered<'a>(
     background: &'a Reconstruction,
     frames: &'a [Frame],
 ) -> Vec<(&'a Frame, &'a Image)> {
-    let by_name: BTreeMap<&str, &Image> =
-        background.images.values().map(|image| (image.name.as_str(), image)).collect();
-    frames.iter().filter_map(|frame| Some((frame, *by_name.get(frame.name.as_str())?))).collect()
+    frames.iter().filter_map(|frame| Some((frame, background.images.get(&frame.id.into())?))).collect()
+}
+
+/// Origin of a local frame on the map.
+pub fn map_origin(map: &LocalFrame, knows_height: bool) -> MapOrigin {
+    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
+    MapOrigin { longitude, latitude, height_m, knows_height }
 }

@@ -6,9 +6,6 @@ use crate::pipeline::driver::run::Run;
 use crate::telemetry::{self, ClockKind};
 use crate::video::{self, Kind};
 
-/// Columns of times are meant to count from the video's start: as well as people press two buttons at once, seconds.
-const TWO_BUTTONS_S: f64 = 2.0;
-
 /// Standard deviation of a container's start time, seconds: whole seconds, and the delay until the camera records.
 const STATED_START_S: f64 = 5.0;
 
@@ -29,8 +26,6 @@ pub(super) fn candidates(
     log_s: f64,
 ) -> Vec<Vec<Offset>> {
     let known = |mean_s, std_s| Offset::Known { mean_s, std_s };
-    let of_camera = |dialect: &&str| dialect.starts_with("dji") || dialect.starts_with("gpmf");
-    let is_of_camera = telemetry.log.dialects().keys().any(of_camera);
     match (run.options.metric.time_offset, telemetry.origin, times) {
         (_, Origin::Photographs | Origin::ByName, _) => vec![vec![known(0.0, 1e-3)]],
         (Some(offset), _, _) => vec![vec![known(offset.mean_s, offset.std_s)]],
@@ -52,8 +47,8 @@ pub(super) fn candidates(
             });
             as_stated.into_iter().chain(elsewhere).chain([vec![Offset::Unknown]]).collect()
         }
-        (None, _, telemetry::TimeBase::Video) if is_of_camera => vec![vec![Offset::SAME_FILE]],
-        (None, _, telemetry::TimeBase::Video) => vec![vec![known(0.0, TWO_BUTTONS_S)], vec![Offset::Unknown]],
+        (None, _, telemetry::TimeBase::Video) if telemetry.log.is_of_camera() => vec![vec![Offset::SAME_FILE]],
+        (None, _, telemetry::TimeBase::Video) => vec![vec![Offset::TWO_BUTTONS], vec![Offset::Unknown]],
     }
 }
 

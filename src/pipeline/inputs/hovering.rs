@@ -15,7 +15,8 @@ use crate::io;
 use crate::mapper::{LineNormal, rotating_camera};
 use crate::math::Sim3;
 use crate::metric::{
-    Alignment, MapPoint, Measured, Offset, Orientation, PositionFix, align, camera_over_map, focal_over_map,
+    Alignment, Kind, MapPoint, Measured, Offset, Orientation, PositionFix, Source, align, camera_over_map,
+    focal_over_map,
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
@@ -136,25 +137,23 @@ pub struct Station {
 /// Why there is none.
 pub(in crate::pipeline) fn station(run: &Run, background: &Reconstruction, log: &Telemetry) -> Result<Station, String> {
     let frames = run.frames().map_err(|error| error.to_string())?;
-    let (local, epoch_s) = alignment::local_fixes(log, frames)?;
-    let log_s = local.fixes.iter().map(|fix| fix.time_s - epoch_s).fold(0.0, f64::max);
-    let offsets = clock_offsets::candidates(run, log, local.times, epoch_s, log_s);
+    let local = alignment::local_fixes(log, frames)?;
+    let log_s = local.fixes.iter().map(|fix| fix.time_s).fold(0.0, f64::max);
+    let offsets = clock_offsets::candidates(run, log, local.times, local.epoch_s, log_s);
     let offset = offsets.first().and_then(|offsets| if let [offset] = offsets[..] { Some(offset) } else { None });
     let of_camera = if matches!(log.origin, Origin::Photographs | Origin::ByName) { &[][..] } else { &log.log.fixes };
-    Station::new(local, epoch_s, offset.unwrap_or(Offset::Unknown), frames, background, of_camera)
+    Station::new(local, offset.unwrap_or(Offset::Unknown), frames, background, of_camera)
 }
 
 impl Station {
     /// The mean of the fixes in the time of the frames.
     ///
-    /// * `epoch_s` – from which the offset counts, seconds of the log's clock.
     /// * `angles` – fixes with the gimbal's angles.
     ///
     /// # Errors
     /// Why there is none.
     pub fn new(
         local: LocalFixes,
-        epoch_s: f64,
         offset: Offset,
         frames: &[Frame],
         background: &Reconstruction,
@@ -167,12 +166,10 @@ impl Station {
                 "clock offset unknown, and a camera that does not move shows none; give --time-offset".to_owned()
             );
         };
-        let log_from_video_s = epoch_s + offset_s;
         let mut registered = frames.iter().filter(|frame| background.images.contains_key(&frame.id.into()));
         let (first, last) = (registered.next(), registered.next_back());
         let (first_s, last_s) = first.map_or((0.0, 0.0), |first| (first.time_s, last.unwrap_or(first).time_s));
-        let in_time =
-            |fix: &&PositionFix| (first_s - MARGIN_S..=last_s + MARGIN_S).contains(&(fix.time_s - log_from_video_s));
+        let in_time = |fix: &&PositionFix| (first_s - MARGIN_S..=last_s + MARGIN_S).contains(&(fix.time_s - offset_s));
         let used: Vec<&PositionFix> = local.fixes.iter().filter(in_time).collect();
         let Some(one) = used.first() else {
             return Err("no position within the time of the video; check --time-offset".to_owned());
@@ -188,8 +185,8 @@ impl Station {
             // The bias of a receiver lasts longer than a clip.
             std_m: Vector3::new(one.horizontal_std_m, one.horizontal_std_m, one.vertical_std_m),
             height_m: up_m.filter(|height| local.heights == Heights::Relative && *height > 0.0),
-            orientation: attitude::orientation(background, frames, angles, log_from_video_s),
-            epoch_s,
+            orientation: attitude::orientation(background, frames, angles, local.epoch_s + offset_s),
+            epoch_s: local.epoch_s,
             offset_s,
             offset_std_s,
             num_fixes: used.len(),
@@ -212,6 +209,14 @@ impl Station {
     /// The height above take-off as that above the ground, metres.
     pub fn height(&self) -> Option<Measured> {
         Measured::new(self.height_m?, self.std_m.z.hypot(TAKEOFF_STD_M))
+    }
+
+    /// Meters per unit by its height.
+    ///
+    /// * `height` – that above the ground, units.
+    pub fn source_of_height(&self, height: &Measured) -> Option<Source> {
+        let (log_scale, std) = self.height()?.log_ratio(height);
+        Some(Source { name: "height above take-off".to_owned(), kind: Kind::Telemetry, log_scale, std })
     }
 
     /// The map around it, where the log has the camera's attitude.

@@ -5,13 +5,12 @@
 use std::path::Path;
 
 use crate::io::{self, RunFolder};
-use crate::metric::{Kind, Offset, Source, Support, frame_on_map, fuse};
+use crate::metric::{Kind, Offset, Support, frame_on_map, fuse};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::alignment::{self, FittedLog};
 use crate::pipeline::inputs::telemetry::{self, Origin};
 use crate::pipeline::{PipelineError, TelemetryChoice};
-use crate::scene::{MapOrigin, Metric, MetricFrame, Reconstruction};
-use crate::telemetry::Geodetic;
+use crate::scene::{Metric, MetricFrame, Reconstruction};
 
 /// The frame, or `null`.
 const FILE: &str = "background-frame.json";
@@ -49,16 +48,11 @@ fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
 
 fn metric(fitted: &FittedLog, of_log: Origin) -> Option<Metric> {
     let FittedLog { alignment, map, knows_height, .. } = fitted;
-    let log_scale = alignment.metric_from_world.scale.ln();
-    let name = of_log.source_name().to_owned();
-    let source = Source { name, kind: Kind::Telemetry, log_scale, std: alignment.log_scale_std() };
-    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
-    let origin = MapOrigin { longitude, latitude, height_m, knows_height: *knows_height };
-    let fused = fuse(&[source])?;
+    let fused = fuse(&[alignment.source(of_log.source_name(), Kind::Telemetry)])?;
     Some(Metric {
         verdict: fused.verdict,
         reason: None,
-        frame: Some(frame_on_map(&fused, alignment, origin)),
+        frame: Some(frame_on_map(&fused, alignment, alignment::map_origin(map, *knows_height))),
         shares: fused.shares,
         contradictions: Vec::new(),
         time_offset_s: None,

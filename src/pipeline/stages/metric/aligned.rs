@@ -2,15 +2,15 @@
 
 use super::super::background;
 use super::sources::{Ground, MAX_TILT};
-use crate::metric::{self, Alignment, Gravity, Offset, Orientation, Refusal, Source, Support};
+use crate::metric::{Alignment, Gravity, Kind, Offset, Orientation, Refusal, Source, Support};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::alignment::{FittedLog, fit};
+use crate::pipeline::inputs::alignment::{FittedLog, fit, map_origin};
 use crate::pipeline::inputs::attitude::orientation;
 use crate::pipeline::inputs::hovering::{self, OnMap, Station};
 use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{Frame, MapOrigin, Reconstruction, Topic};
-use crate::telemetry::{self, LocalFrame};
+use crate::telemetry::LocalFrame;
 
 /// A path on its fixes, with the map under it.
 pub(super) struct Aligned {
@@ -26,8 +26,7 @@ pub(super) struct Aligned {
 impl Aligned {
     /// Where the metric frame lies.
     pub(super) fn origin(&self) -> MapOrigin {
-        let telemetry::Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = self.map.origin;
-        MapOrigin { longitude, latitude, height_m, knows_height: self.knows_height }
+        map_origin(&self.map, self.knows_height)
     }
 }
 
@@ -63,15 +62,10 @@ fn try_align(
     let support = |offset, epoch_s| support(background, frames, telemetry, ground, offset, epoch_s, outcome);
     let FittedLog { alignment, map, knows_height, epoch_s, refusal, .. } = fit(run, background, telemetry, support)?;
     let clock_offset_s = epoch_s + alignment.offset_s;
-    let source = source(telemetry.origin.source_name(), metric::Kind::Telemetry, &alignment);
+    let source = alignment.source(telemetry.origin.source_name(), Kind::Telemetry);
     let aligned = Aligned { alignment, map, knows_height, source: Some(source), clock_offset_s: Some(clock_offset_s) };
     warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
     Ok(aligned)
-}
-
-fn source(name: &str, kind: metric::Kind, alignment: &Alignment) -> Source {
-    let (log_scale, std) = (alignment.metric_from_world.scale.ln(), alignment.log_scale_std());
-    Source { name: name.to_owned(), kind, log_scale, std }
 }
 
 /// A camera that does not translate, by points of a map or by a log; and the height above take-off as that above
@@ -90,7 +84,7 @@ pub(super) fn hovering(
     let of_map = hovering::on_map_points(&run.options.metric, background, focal_std)?;
     let of_map = of_map.map(|OnMap { alignment, map, knows_height }| {
         describe(&alignment, outcome);
-        let source = Some(source("map points", metric::Kind::Surveyed, &alignment));
+        let source = Some(alignment.source("map points", Kind::Surveyed));
         Aligned { alignment, map, knows_height, source, clock_offset_s: None }
     });
     let station = telemetry.and_then(|log| match hovering::station(run, background, log) {
@@ -101,11 +95,8 @@ pub(super) fn hovering(
             None
         }
     });
-    let height = station.as_ref().and_then(Station::height);
-    let of_height = height.zip(ground.height().ok()).map(|(height_m, height)| {
-        let (log_scale, std) = height_m.log_ratio(&height);
-        Source { name: "height above take-off".to_owned(), kind: metric::Kind::Telemetry, log_scale, std }
-    });
+    let of_height =
+        station.as_ref().zip(ground.height().ok()).and_then(|(station, height)| station.source_of_height(&height));
     let of_log = || {
         let station = station?;
         let (alignment, clock_offset_s) = (station.alignment()?, Some(station.clock_offset_s()));

@@ -25,8 +25,8 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{alignment, attitude, hovering, telemetry as log};
 use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
 use crate::scene::{
-    GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic, Trajectories,
-    sources_in_words,
+    FrameId, GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic,
+    Trajectories, sources_in_words,
 };
 use crate::telemetry;
 use aligned::Aligned;
@@ -206,22 +206,17 @@ fn nominal_frame(
     objects: &[ObjectTrajectory],
     ground_tracks: &[GroundTrack],
 ) -> MetricFrame {
-    let centers: BTreeMap<&str, Point3<f64>> =
-        background.images.values().map(|image| (image.name.as_str(), image.cam_from_world.center())).collect();
-    let distance = |(name, position): (&str, [f64; 3])| Some((Point3::from(position) - centers.get(name)?).norm());
-    let poses = objects.iter().flat_map(|object| &object.poses).map(|pose| (pose.name.as_str(), pose.position));
+    let distance = |(frame, position): (FrameId, [f64; 3])| {
+        let center = background.images.get(&frame.into())?.cam_from_world.center();
+        Some((Point3::from(position) - center).norm())
+    };
+    let poses = objects.iter().flat_map(|object| &object.poses).map(|pose| (pose.frame, pose.position));
     let contacts = ground_tracks.iter().filter(|_| objects.is_empty()).flat_map(|track| &track.positions);
-    let contacts = contacts.map(|at| (at.name.as_str(), at.position));
+    let contacts = contacts.map(|at| (at.frame, at.position));
     let distances: Vec<f64> =
         poses.chain(contacts).filter_map(distance).filter(|d| d.is_finite() && *d > 0.0).collect();
-    let fused = Fused {
-        scale: median(distances).map_or(1.0, |distance| NOMINAL_DISTANCE_M / distance),
-        std: 0.0,
-        verdict: MetricVerdict::Unknown,
-        shares: Vec::new(),
-        contradictions: Vec::new(),
-    };
-    frame_on_ground(&fused, &ground.level(background))
+    let scale = median(distances).map_or(1.0, |distance| NOMINAL_DISTANCE_M / distance);
+    frame_on_ground(&Fused::of_scale(scale, 0.0), &ground.level(background))
 }
 
 /// Why metres are unknown.
