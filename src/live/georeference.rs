@@ -316,7 +316,7 @@ pub(super) fn camera(center: Point3<f64>) -> ObservedPoint {
 }
 
 /// Four digits after the point: a tenth of a millimeter.
-fn rounded(value: f64) -> f64 {
+pub(super) fn rounded(value: f64) -> f64 {
     (1e4 * value).round() / 1e4
 }
 

@@ -8,12 +8,12 @@ use std::sync::Arc;
 use nalgebra::{Matrix3, Point3};
 
 use super::LiveError;
-use super::map::WorldMap;
-use super::window::{Limits, known_points, resected, sub_table};
+use super::map::{MIN_TRACK, WorldMap};
+use super::window::{Limits, evenly, register, sub_table};
 use crate::features::TrackTable;
 use crate::mapper::{self, Intrinsics};
 use crate::pipeline::{Options, object_pose_priors};
-use crate::scene::{Frame, FrameId, ImageId, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Unit};
+use crate::scene::{Frame, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase, Unit};
 use crate::trajectory::{self, Candidate, Evidence, ModelOrigin, ObjectDescription, Outlines, verdicts};
 
 /// Views of a model; other frames are registered by resection. Time grows faster than their number: in five rendered
@@ -25,8 +25,6 @@ const TOTAL_VIEWS: usize = 100;
 const FEW_VIEWS: usize = 20;
 /// Fewest views of a model.
 const MIN_VIEWS: usize = 8;
-/// Views that must show a point.
-const MIN_TRACK: usize = 3;
 /// Limits of the pose of a further view: those of the mapper for objects.
 const LIMITS: Limits = Limits { max_error_px: 3.0, min_inliers: 7, min_inlier_ratio: 0.25 };
 
@@ -55,13 +53,6 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// Standard deviation of the scale ratio, as a share.
-    pub(super) fn log_ratio_std(&self) -> f64 {
-        // Of a ratio without one: what methods differ by where they work; as in the stage `metric`.
-        const UNSTATED: f64 = 0.1;
-        self.trajectory.scale.std.map_or(UNSTATED, |std| std / self.trajectory.scale.ratio)
-    }
-
     /// Error of a position besides that of the scale ratio.
     pub(super) fn covariance(&self, frame: FrameId) -> Matrix3<f64> {
         // That of the nearest view of the adjustment.
@@ -111,8 +102,7 @@ fn place(
     let Subject { object: id, class, confidence, table } = subject;
     let registered: Vec<usize> =
         (0..table.views.len()).filter(|&view| map.model.images.contains_key(&table.views[view].image)).collect();
-    let stride = registered.len().div_ceil(max_views).max(1);
-    let chosen: Vec<usize> = registered.iter().copied().step_by(stride).collect();
+    let chosen: Vec<usize> = evenly(&registered, max_views).collect();
     if chosen.len() < MIN_VIEWS {
         return Ok(without_model(*id, &format!("{} views in the map", chosen.len())));
     }
@@ -167,7 +157,8 @@ fn place(
         let reasons: Vec<&str> = refuted.against().map(|reason| reason.says.as_str()).collect();
         return Ok(without_model(*id, &reasons.join("; ")));
     }
-    let whole = with_others(placed.object, table, &registered, map);
+    let mut whole = placed.object;
+    register(&mut whole, table, registered, &map.camera, &LIMITS);
     let mut trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames, Unit::Background);
     let subject = trajectory::Subject {
         trajectory: &trajectory,
@@ -185,19 +176,4 @@ fn place(
 fn without_model(id: ObjectId, why: &dyn Display) -> Option<Model> {
     tracing::debug!("object {}: no model: {why}", id.0);
     None
-}
-
-/// The model with the views that were not chosen.
-fn with_others(mut model: Reconstruction, table: &TrackTable, views: &[usize], map: &WorldMap) -> Reconstruction {
-    let open = |view: &&usize| !model.images.contains_key(&table.views[**view].image);
-    let views: Vec<usize> = views.iter().filter(open).copied().collect();
-    let points = known_points(table, &model, &views);
-    for (&view, points) in views.iter().zip(points) {
-        let seen = &table.views[view];
-        let id: ImageId = seen.image;
-        let before = model.images.range(..id).next_back().map(|(_, image)| image.cam_from_world);
-        let image = resected(&seen.pixels, &seen.name, points, &model, &map.camera, before, &LIMITS);
-        model.images.extend(image.map(|image| (id, image)));
-    }
-    model
 }

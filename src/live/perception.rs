@@ -15,13 +15,11 @@ use ::image::RgbImage;
 use super::frames::{Arrived, Input, Newest, Next};
 use super::load::Load;
 use super::{LiveError, PATIENCE};
-use crate::ffi::onnx::Resources;
-use crate::memory::MemoryLimit;
 use crate::networks::{
     BoxSegmenter, Detector, FlowEstimator, GrabCut, default_models, load_box_segmenter, load_detector, load_flow,
     load_small_box_segmenter,
 };
-use crate::pipeline::{DetectorChoice, MaskChoice, Options};
+use crate::pipeline::{DetectorChoice, MaskChoice, MaskingOptions, Options};
 use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect, Topic};
 use crate::tracking::{BoxSource, ConfirmedObject, FrameInput, Predecessor, TrackedMask, Tracker};
 use crate::trajectory::Silhouette;
@@ -183,8 +181,8 @@ struct Perception {
     masks: Vec<TrackedMask>,
     /// Times of the last looks of the detector and of the mask network, seconds.
     looked_s: [f64; 2],
-    /// Margin of vehicles in the background, as a share of the longer side.
-    dilation: f64,
+    /// Margin of vehicles in the background.
+    masking: MaskingOptions,
 }
 
 /// Part of the time between two looks by which one may come early: time stamps are rounded.
@@ -196,8 +194,7 @@ impl Perception {
     /// # Errors
     /// [`LiveError::Perception`] where a network is missing: nothing else detects vehicles here.
     fn new(options: &Options) -> Result<Self, LiveError> {
-        let memory = options.memory_limit.unwrap_or_else(MemoryLimit::of_machine);
-        let resources = Resources { num_threads: options.threads.unwrap_or(0), memory, provider: options.provider };
+        let resources = options.resources();
         let detector = match &options.vehicles.detector {
             DetectorChoice::None => None,
             DetectorChoice::File(path) => Some(load_detector(path, &options.detector, resources)?),
@@ -220,7 +217,7 @@ impl Perception {
             boxes: Vec::new(),
             masks: Vec::new(),
             looked_s: [f64::NEG_INFINITY; 2],
-            dilation: options.masking.dilation,
+            masking: options.masking.clone(),
         })
     }
 
@@ -231,9 +228,7 @@ impl Perception {
         let begin = Instant::now();
         let Arrived { frame, picture, at } = arrived;
         let seen = self.push(&frame, &picture, periods_s)?;
-        let longer_px = f64::from(picture.width().max(picture.height()));
-        let dilation_px = (self.dilation * longer_px).round() as u32;
-        let background = self.background(picture.dimensions(), dilation_px);
+        let background = self.background(picture.dimensions());
         let (masks, identities) = (std::mem::take(&mut self.masks), self.identities());
         let (num_dropped, num_skipped) = (0, 0);
         let busy = begin.elapsed();
@@ -274,15 +269,12 @@ impl Perception {
     }
 
     /// The pixels that show background: neither near the detector's last boxes nor near what is followed.
-    fn background(&self, (width, height): (u32, u32), dilation_px: u32) -> Mask {
-        let mut mask = Mask::full(width, height);
-        let margin = f64::from(dilation_px);
+    fn background(&self, size: (u32, u32)) -> Mask {
+        let mut mask = Mask::full(size.0, size.1);
+        let margin = f64::from(self.masking.dilation_px(size));
         for rect in self.boxes.iter().map(|found| found.rect).chain(self.tracker.places()) {
             let rect = Rect { x0: rect.x0 - margin, y0: rect.y0 - margin, x1: rect.x1 + margin, y1: rect.y1 + margin };
-            let rect = rect.clipped(width, height);
-            for y in rect.y0.floor() as u32..rect.y1.ceil() as u32 {
-                mask.fill(rect.x0.floor() as u32..rect.x1.ceil() as u32, y, false);
-            }
+            mask.fill_rect(&rect, false);
         }
         mask
     }

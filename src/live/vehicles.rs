@@ -10,10 +10,12 @@ use nalgebra::{Matrix3, Point2, Point3};
 
 use super::LiveError;
 use super::WINDOW_S;
+use super::georeference::rounded;
 use super::line::{GeoPosition, LengthUnit, MotionState, PositionMethod, State, VehicleLine};
 use super::map::WorldMap;
 use super::models::{Model, Request, Subject};
 use super::perception::{Identity, Outlined};
+use super::window::SPARE_S;
 use crate::camera::Camera;
 use crate::features::Picture;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
@@ -42,8 +44,6 @@ const RESTS: f64 = 2.0;
 const MOVES: f64 = 3.0;
 /// Views of a vehicle's tracks at which those outside the window are dropped.
 const MAX_VIEWS: usize = 200;
-/// Time beyond the window for which observations are kept, seconds; as those of the background.
-const SPARE_S: f64 = 4.0;
 
 /// Contact points of a vehicle.
 pub(super) type Positions = BTreeMap<FrameId, GroundPosition>;
@@ -413,11 +413,6 @@ fn motion_state(motion: &Motion, is_metric: bool) -> Option<MotionState> {
     }
 }
 
-/// Four digits after the point: a tenth of a millimeter.
-fn rounded(value: f64) -> f64 {
-    (1e4 * value).round() / 1e4
-}
-
 /// Position of a vehicle.
 struct Placed {
     /// In the local frame.
@@ -438,14 +433,10 @@ fn placed_at(
 ) -> Option<Placed> {
     let metric_from_world = map.frame.metric_from_world();
     let center = center(map, frame)?;
-    let ray = metric_from_world.rotation * (point - center) * metric_from_world.scale;
-    let log_std = map.frame.log_scale_std().hypot(log_ratio_std);
     let found = metric_from_world * point;
     let drift = map.line.drift_std * found.coords.norm();
     let observed = ObservedPoint { point, center, log_ratio_std, direction_std: 0.0, pose_covariance: *covariance };
-    let covariance: Matrix3<f64> = in_metres(&map.frame, covariance)
-        + ray * ray.transpose() * log_std.powi(2)
-        + Matrix3::identity() * drift.powi(2);
+    let covariance = observed.covariance_m(&map.frame) + Matrix3::identity() * drift.powi(2);
     let upper = [(0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)].map(|at| covariance[at]);
     let is_finite = found.coords.iter().chain(&upper).all(|x| x.is_finite());
     is_finite.then(|| Placed { position: found.coords.into(), covariance: upper, geo: map.geo(&observed) })
@@ -457,7 +448,7 @@ fn placed(map: &WorldMap, position: &GroundPosition) -> Option<Placed> {
 
 fn placed_model(map: &WorldMap, model: &Model, frame: FrameId) -> Option<Placed> {
     let covariance = model.covariance(frame) + model.body_covariance(frame);
-    placed_at(map, frame, model.position(frame)?, &covariance, model.log_ratio_std())
+    placed_at(map, frame, model.position(frame)?, &covariance, model.trajectory.log_ratio_std())
 }
 
 /// The camera's center in a frame, or in the last one of the map for a frame that came after it.
@@ -483,7 +474,7 @@ fn model_motions(map: &WorldMap, model: &Model) -> BTreeMap<FrameId, Motion> {
         let error = PositionError::Model { pose: in_metres(&map.frame, &model.covariance(pose.frame)) };
         Some((pose.frame, measurement(map, pose.frame, pose.time_s, pose.position.into(), error)?))
     });
-    smoothed(map, measured, model.log_ratio_std())
+    smoothed(map, measured, model.trajectory.log_ratio_std())
 }
 
 fn measurement(

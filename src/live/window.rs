@@ -243,6 +243,30 @@ pub(super) fn known_points(table: &TrackTable, model: &Reconstruction, views: &[
     found
 }
 
+/// So many of some views at the most, evenly over them.
+pub(super) fn evenly(views: &[usize], most: usize) -> impl Iterator<Item = usize> {
+    views.iter().copied().step_by(views.len().div_ceil(most).max(1))
+}
+
+/// Adds to a model those of some views that it does not have, where enough points agree.
+pub(super) fn register(
+    model: &mut Reconstruction,
+    table: &TrackTable,
+    views: impl IntoIterator<Item = usize>,
+    camera: &Camera,
+    limits: &Limits,
+) {
+    let is_open = |view: &usize| !model.images.contains_key(&table.views[*view].image);
+    let views: Vec<usize> = views.into_iter().filter(is_open).collect();
+    let points = known_points(table, model, &views);
+    for (&view, points) in views.iter().zip(points) {
+        let seen = &table.views[view];
+        let before = model.images.range(..seen.image).next_back().map(|(_, image)| image.cam_from_world);
+        let image = resected(&seen.pixels, &seen.name, points, model, camera, before, limits);
+        model.images.extend(image.map(|image| (seen.image, image)));
+    }
+}
+
 /// An image of a model by resection; `None` where too few points agree.
 ///
 /// * `points` – by feature.

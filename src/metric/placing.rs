@@ -30,6 +30,12 @@ impl ObservedPoint {
         metric_from_world.rotation * (self.point - self.center) * metric_from_world.scale
     }
 
+    /// Covariance of the point relative to the camera along the metric axes.
+    pub fn covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
+        let log_std = frame.log_scale_std().hypot(self.log_ratio_std);
+        ray_covariance(&self.ray_m(frame), log_std, self.direction_std) + self.pose_covariance_m(frame)
+    }
+
     /// Covariance of the pose along the metric axes.
     fn pose_covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
         in_metres(frame, &self.pose_covariance)
@@ -46,8 +52,7 @@ pub fn in_metres(frame: &MetricFrame, covariance: &Matrix3<f64>) -> Matrix3<f64>
 /// Position and distance in metres, relative to the camera; motion and place are for others to say.
 pub fn metric_pose(frame: &MetricFrame, sighted: &ObservedPoint) -> MetricPose {
     let ray_m = sighted.ray_m(frame);
-    let log_std = frame.log_scale_std().hypot(sighted.log_ratio_std);
-    let covariance = ray_covariance(&ray_m, log_std, sighted.direction_std) + sighted.pose_covariance_m(frame);
+    let covariance = sighted.covariance_m(frame);
     let along = ray_m.try_normalize(0.0).unwrap_or_default();
     MetricPose {
         position_m: (frame.metric_from_world() * sighted.point).coords.into(),

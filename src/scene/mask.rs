@@ -4,6 +4,8 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
+use super::Rect;
+
 /// A set of pixels of one frame. Only a window around the set pixels is stored: a frame has many small objects.
 #[derive(Clone, Debug)]
 pub struct Mask {
@@ -176,6 +178,14 @@ impl Mask {
         if common.area() > 0 {
             let start = place(&self.window, common.x0, y);
             self.pixels[start..start + common.width() as usize].fill(value);
+        }
+    }
+
+    /// Sets or clears the pixels that a rectangle touches.
+    pub fn fill_rect(&mut self, rect: &Rect, value: bool) {
+        let rect = rect.clipped(self.width, self.height);
+        for y in rect.y0.floor() as u32..rect.y1.ceil() as u32 {
+            self.fill(rect.x0.floor() as u32..rect.x1.ceil() as u32, y, value);
         }
     }
 
@@ -398,6 +408,13 @@ pub struct Detection {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rectangles_are_filled_as_far_as_the_picture_goes() {
+        let mut mask = Mask::empty(6, 4);
+        mask.fill_rect(&Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 }, true);
+        assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
+    }
 
     #[test]
     fn dilation_grows_by_the_radius_and_erosion_undoes_it() {

@@ -254,6 +254,13 @@ impl ObjectTrajectory {
         }
     }
 
+    /// Standard deviation of the scale ratio, as a share of it.
+    pub fn log_ratio_std(&self) -> f64 {
+        // Of a ratio whose method states none: what methods differ by where they work.
+        const UNSTATED: f64 = 0.1;
+        self.scale.std.map_or(UNSTATED, |std| std / self.scale.ratio)
+    }
+
     /// Headings without jumps at north, degrees: each within half a turn of the one before, and their mean from 0 to
     /// 360. One per pose; `None` where none is known.
     pub fn unwrapped_headings_deg(&self) -> Vec<Option<f64>> {

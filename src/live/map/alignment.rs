@@ -2,9 +2,7 @@
 
 use nalgebra::{Point3, Vector3};
 
-use super::super::window::{LIMITS, Snapshot, known_points, resected};
 use super::Mapper;
-use crate::camera::Camera;
 use crate::math::{Sim3, median, umeyama};
 use crate::scene::{Point3d, Reconstruction};
 
@@ -57,18 +55,4 @@ fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64
         pairs.retain(|pair| residual(pair) <= 3.0 * typical);
     }
     found.filter(|(similarity, variance)| similarity.scale.is_finite() && variance.is_finite())
-}
-
-/// Adds the frames of the window that are no keyframes.
-pub(super) fn register_others(model: &mut Reconstruction, snapshot: &Snapshot, camera: &Camera) {
-    let is_open = |view: &usize| !model.images.contains_key(&snapshot.table.views[*view].image);
-    let views: Vec<usize> = (0..snapshot.frames.len()).filter(is_open).collect();
-    let points = known_points(&snapshot.table, model, &views);
-    for (&view, points) in views.iter().zip(points) {
-        let seen = &snapshot.table.views[view];
-        let before = model.images.range(..seen.image).next_back().map(|(_, image)| image.cam_from_world);
-        if let Some(image) = resected(&seen.pixels, &seen.name, points, model, camera, before, &LIMITS) {
-            model.images.insert(seen.image, image);
-        }
-    }
 }

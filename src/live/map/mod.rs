@@ -20,7 +20,7 @@ use nalgebra::UnitQuaternion;
 use super::georeference::{self, Georeference, Georeferencer};
 use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
 use super::telemetry::TelemetryFeed;
-use super::window::{Snapshot, keyframes, known_points, sub_table};
+use super::window::{LIMITS, Snapshot, evenly, keyframes, known_points, register, sub_table};
 use super::{LiveError, Purpose};
 use crate::camera::{Camera, SLOPE_STD};
 use crate::features::TrackTable;
@@ -32,7 +32,6 @@ use crate::metric::{Level, Measured, ObservedPoint};
 use crate::pipeline::Options;
 use crate::scene::{Frame, FrameId, GroundPlane, Image, MetricFrame, ObjectId, Observation, Reconstruction};
 use crate::trajectory::{Outlines, outline_pixels};
-use alignment::register_others;
 use hovering::Hovering;
 
 /// Fewest keyframes of a first map: two seconds of a camera that moves.
@@ -267,7 +266,7 @@ impl Mapper {
             self.known = Intrinsics { focal: self.known.focal.min(std.max(LEAST_FOCAL_STD)), ..self.known };
         }
         let (keyframes, points) = (model.images.len(), model.points.len());
-        register_others(&mut model, snapshot, &camera);
+        register(&mut model, &snapshot.table, 0..snapshot.frames.len(), &camera, &LIMITS);
         self.last = Some(model.clone());
         self.note_turns(&model);
         let (ground, problem) = match &self.hovering {
@@ -404,8 +403,7 @@ impl Mapper {
         let views = &snapshot.table.views;
         let registered: Vec<usize> =
             (0..views.len()).filter(|&view| model.images.contains_key(&views[view].image)).collect();
-        let stride = registered.len().div_ceil(DENSE_VIEWS).max(1);
-        let chosen: Vec<usize> = registered.iter().copied().step_by(stride).collect();
+        let chosen: Vec<usize> = evenly(&registered, DENSE_VIEWS).collect();
         let table = sub_table(&snapshot.table, &chosen, MIN_TRACK);
         let pose = |view: &View| Some(model.images.get(&view.image)?.cam_from_world);
         let poses: Vec<Option<Rigid3>> = table.views.iter().map(pose).collect();

@@ -9,7 +9,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::super::WINDOW_S;
-use super::super::window::{LIMITS, SPARE_S, Snapshot, sub_table};
+use super::super::window::{LIMITS, SPARE_S, Snapshot, evenly, sub_table};
 use super::{DENSE_VIEWS, MIN_TRACK};
 use crate::camera::Camera;
 use crate::features::TrackTable;
@@ -27,8 +27,8 @@ pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
     let recent: Vec<usize> = (0..snapshot.frames.len()).filter(|&k| snapshot.frames[k].time_s >= since_s).collect();
     let has_lines = |k: &usize| snapshot.lines.iter().any(|lines| lines.image.frame() == snapshot.frames[*k].id);
     let of_lines = recent.iter().copied().filter(has_lines);
-    let evenly = recent.iter().copied().step_by(recent.len().div_ceil(DENSE_VIEWS).max(1));
-    let chosen: Vec<usize> = evenly.chain(of_lines).collect::<BTreeSet<_>>().into_iter().collect();
+    let chosen: Vec<usize> =
+        evenly(&recent, DENSE_VIEWS).chain(of_lines).collect::<BTreeSet<_>>().into_iter().collect();
     sub_table(&snapshot.table, &chosen, MIN_TRACK)
 }
 

@@ -235,6 +235,11 @@ pub struct MaskingOptions {
 }
 
 impl MaskingOptions {
+    /// Dilation in images of a size, pixels.
+    pub fn dilation_px(&self, (width, height): (u32, u32)) -> u32 {
+        (self.dilation * f64::from(width.max(height))).round() as u32
+    }
+
     /// Rejects what cannot be worked with.
     ///
     /// # Errors
@@ -293,7 +298,7 @@ impl Options {
     }
 
     /// Resources that a network may use.
-    pub(super) fn resources(&self) -> Resources {
+    pub fn resources(&self) -> Resources {
         Resources { num_threads: self.threads.unwrap_or(0), memory: self.memory(), provider: self.provider }
     }
 

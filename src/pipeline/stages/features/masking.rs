@@ -5,7 +5,7 @@ use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::stages::segment;
 use crate::pipeline::stages::segment::detections::DetectionFolder;
 use crate::pipeline::{Instances, PipelineError};
-use crate::scene::{BoxDetection, Frame, FrameId, Mask};
+use crate::scene::{Frame, FrameId, Mask};
 
 /// Where something is that may move by itself.
 enum Movable {
@@ -28,8 +28,7 @@ pub(in crate::pipeline) struct Masking {
 impl Masking {
     /// The stage `segment` must be done.
     pub(in crate::pipeline) fn new(run: &Run) -> Result<Self, PipelineError> {
-        let longer_px = run.info().width.max(run.info().height);
-        let dilation_px = (run.options.masking.dilation * f64::from(longer_px)).round() as u32;
+        let dilation_px = run.options.masking.dilation_px((run.info().width, run.info().height));
         let movable = match &run.options.instances {
             Instances::None => Movable::Nothing,
             Instances::Masks(folder) => Movable::Given(MaskFolder::open(folder, run.frames()?, run.info())?),
@@ -56,7 +55,7 @@ impl Masking {
             Movable::Masks(folder) => folder.read(frame.id)?.iter().for_each(|found| movable.union_with(&found.mask)),
             Movable::Boxes(folder, looked) => {
                 for near in nearest(looked, frame.id) {
-                    folder.read(near)?.iter().for_each(|found| fill(&mut movable, found));
+                    folder.read(near)?.iter().for_each(|found| movable.fill_rect(&found.rect, true));
                 }
             }
         }
@@ -75,31 +74,9 @@ fn nearest(looked: &[FrameId], frame: FrameId) -> Vec<FrameId> {
     }
 }
 
-/// Sets the pixels of a box.
-fn fill(mask: &mut Mask, found: &BoxDetection) {
-    let rect = found.rect.clipped(mask.width(), mask.height());
-    let (columns, rows) =
-        (rect.x0.floor() as u32..rect.x1.ceil() as u32, rect.y0.floor() as u32..rect.y1.ceil() as u32);
-    for y in rows {
-        mask.fill(columns.clone(), y, true);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{DetectionSource, Rect};
-
-    #[test]
-    fn boxes_are_filled_as_far_as_the_picture_goes() {
-        let mut mask = Mask::empty(6, 4);
-        let rect = Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 };
-        fill(
-            &mut mask,
-            &BoxDetection { class: "car".into(), confidence: 0.5, rect, finder: DetectionSource::Detector },
-        );
-        assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
-    }
 
     #[test]
     fn between_two_looks_both_count() {

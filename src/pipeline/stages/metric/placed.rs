@@ -26,9 +26,6 @@ pub(super) struct Placing<'a> {
     movements: BTreeMap<ObjectId, Movement>,
 }
 
-/// Deviation of a ratio of which its method states none, as a share: what methods differ by where they work.
-const UNSTATED_RATIO_STD: f64 = 0.1;
-
 /// Time from frame to frame where none is known, seconds: image sequences of traffic have 10 to 30 frames a second. It
 /// sets only how sharply a vehicle may turn from frame to frame, within the decades over which the smoother searches.
 const NOMINAL_STEP_S: f64 = 0.1;
@@ -53,7 +50,7 @@ impl<'a> Placing<'a> {
 
     /// Fills in all metric values.
     pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
-        let log_ratio_std = log_ratio_std(trajectory);
+        let log_ratio_std = trajectory.log_ratio_std();
         for pose in &mut trajectory.poses {
             let of_body = body_covariance(trajectory.body_center, pose);
             pose.metric = self.metric(trajectory.id, pose, log_ratio_std, of_body);
@@ -81,7 +78,7 @@ impl<'a> Placing<'a> {
     }
 
     fn smoothed(&self, trajectory: &ObjectTrajectory) -> Option<Smoothed> {
-        let common = CommonStd { ratio: log_ratio_std(trajectory), scale: self.frame.log_scale_std() };
+        let common = CommonStd { ratio: trajectory.log_ratio_std(), scale: self.frame.log_scale_std() };
         let movement = self.movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
         smooth(&self.sightings(trajectory), &common, movement)
     }
@@ -164,8 +161,4 @@ pub(super) fn span<T>(poses: &[T], time_s: impl Fn(&T) -> f64) -> f64 {
 /// Covariance of the center of the body in a frame, in the frame and unit of the background.
 fn body_covariance(center: Option<BodyCenter>, pose: &ObjectPose) -> Matrix3<f64> {
     center.map_or_else(Matrix3::zeros, |center| center.covariance_in_world(&pose.world_from_object))
-}
-
-fn log_ratio_std(trajectory: &ObjectTrajectory) -> f64 {
-    trajectory.scale.std.map_or(UNSTATED_RATIO_STD, |std| std / trajectory.scale.ratio)
 }
