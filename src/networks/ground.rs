@@ -19,15 +19,6 @@ use crate::ffi::onnx::{Model, Resources, Tensor};
 use crate::image::resize_rgb;
 use crate::scene::Mask;
 
-/// Finds the ground in a frame.
-pub trait GroundSegmenter {
-    /// The pixels of `image` that show ground, at its size.
-    ///
-    /// # Errors
-    /// When the network cannot be run or answers in a shape that its description does not allow.
-    fn ground_mask(&mut self, image: &RgbImage) -> Result<Mask, PerceptionError>;
-}
-
 /// Options of ground segmentation.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -69,7 +60,7 @@ pub fn load_ground_segmenter(
     path: &Path,
     options: &GroundOptions,
     resources: impl Into<Resources>,
-) -> Result<Box<dyn GroundSegmenter>, PerceptionError> {
+) -> Result<GroundSegmenter, PerceptionError> {
     options.check()?;
     let model = Model::load(path, resources)?;
     let description = match read_sidecar(path)? {
@@ -78,7 +69,7 @@ pub fn load_ground_segmenter(
     };
     let image_in = model.inputs().len() == 1 && model.inputs()[0].shape.len() == 4;
     match description {
-        Some(description) if image_in => Ok(Box::new(Semantic::new(model, description, options)?)),
+        Some(description) if image_in => GroundSegmenter::new(model, description, options),
         _ => Err(PerceptionError::UnknownLayout {
             path: path.to_path_buf(),
             task: "ground segmentation",
@@ -91,8 +82,8 @@ pub fn load_ground_segmenter(
     }
 }
 
-/// A semantic network with all that is needed to feed it.
-struct Semantic {
+/// A semantic network that finds the ground in a frame, with all that is needed to feed it.
+pub struct GroundSegmenter {
     model: Model,
     preprocessing: Preprocessing,
     /// Which output holds the classes.
@@ -102,7 +93,7 @@ struct Semantic {
     input_size: u32,
 }
 
-impl Semantic {
+impl GroundSegmenter {
     fn new(model: Model, description: ModelDescription, options: &GroundOptions) -> Result<Self, PerceptionError> {
         let wanted = description.outputs.first().map(|pattern| pattern.name.as_str());
         let position = |name: &str| model.outputs().iter().position(|output| output.name == name);
@@ -128,10 +119,12 @@ impl Semantic {
         let open = |length: u32| length.div_ceil(STRIDE) * STRIDE;
         (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
     }
-}
 
-impl GroundSegmenter for Semantic {
-    fn ground_mask(&mut self, image: &RgbImage) -> Result<Mask, PerceptionError> {
+    /// The pixels of `image` that show ground, at its size.
+    ///
+    /// # Errors
+    /// When the network cannot be run or answers in a shape that its description does not allow.
+    pub fn ground_mask(&mut self, image: &RgbImage) -> Result<Mask, PerceptionError> {
         let frame = image.dimensions();
         if frame.0 == 0 || frame.1 == 0 {
             return Ok(Mask::empty(frame.0, frame.1));

@@ -1,9 +1,8 @@
 //! Neural networks for detection, segmentation and optical flow.
 //!
-//! Models stand behind traits, so that the networks can be exchanged: a [`Segmenter`] finds objects in one frame with
-//! their masks, a [`Detector`] finds them as boxes, a [`BoxSegmenter`] finds the masks of boxes, a [`GroundSegmenter`]
-//! finds the ground in one frame, a [`FlowEstimator`] estimates where each pixel of one frame lies in another. A
-//! detector and a prompter come with the program ([`default_models`]).
+//! A [`Segmenter`] finds objects in one frame with their masks, a [`Yolox`] finds them as boxes, a [`BoxSegmenter`]
+//! finds the masks of boxes, a [`GroundSegmenter`] finds the ground in one frame, a [`FlowEstimator`] estimates where
+//! each pixel of one frame lies in another. A detector and a prompter come with the program ([`default_models`]).
 //!
 //! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot
 //! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same
@@ -26,7 +25,7 @@ pub use self::prompt::{
     BoxMask, BoxSegmenter, GrabCut, KnownMasks, PromptOptions, load_box_segmenter, load_small_box_segmenter,
 };
 pub use self::segmentation::{
-    Detector, DetectorOptions, SegmentationOptions, Segmenter, Tiling, load_detector, load_segmenter,
+    DetectorOptions, SegmentationOptions, Segmenter, Tiling, Yolox, load_detector, load_segmenter,
 };
 pub use default_models::{DefaultModels, default_descriptions, default_models};
 

@@ -2,8 +2,8 @@
 
 use std::path::Path;
 
+use super::DetectorOptions;
 use super::yolox::{self, Yolox};
-use super::{Detector, DetectorOptions};
 use crate::ffi::onnx::{Model, Resources};
 use crate::networks::PerceptionError;
 
@@ -18,11 +18,11 @@ pub fn load_detector(
     path: &Path,
     options: &DetectorOptions,
     resources: impl Into<Resources>,
-) -> Result<Box<dyn Detector>, PerceptionError> {
+) -> Result<Yolox, PerceptionError> {
     options.check()?;
     let model = Model::load(path, resources)?;
     if yolox::recognise(&model) {
-        return Ok(Box::new(Yolox::new(model, options)?));
+        return Yolox::new(model, options);
     }
     Err(PerceptionError::UnknownLayout {
         path: path.to_path_buf(),

@@ -20,10 +20,11 @@ pub use self::detection::load_detector;
 pub use self::detector_options::DetectorOptions;
 use self::mask_rcnn::MaskRcnn;
 use self::yolo::YoloSeg;
+pub use self::yolox::Yolox;
 use super::{INPUT_SIZES, PerceptionError};
 use crate::checks::{Checked, some_of, within};
 use crate::ffi::onnx::{Model, Resources};
-use crate::scene::{BoxDetection, Detection};
+use crate::scene::Detection;
 
 /// At most this many objects per frame, the best ones: a bound on memory for networks that fire everywhere.
 const MAX_OBJECTS: usize = 300;
@@ -35,15 +36,6 @@ pub trait Segmenter {
     /// # Errors
     /// When the network cannot be run or answers in a shape that its family does not allow.
     fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError>;
-}
-
-/// Finds the movable objects of a frame as boxes.
-pub trait Detector {
-    /// The objects found in `image`; highest confidence first.
-    ///
-    /// # Errors
-    /// When the network cannot be run or answers in a shape that its family does not allow.
-    fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError>;
 }
 
 /// Treatment of frames that are larger than the network's input.

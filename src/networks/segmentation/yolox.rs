@@ -12,7 +12,7 @@ use ::image::RgbImage;
 use super::classes::class_names;
 use super::letterbox::{Anchor, Letterbox, fitted};
 use super::tiles::Tile;
-use super::{Detector, DetectorOptions, MAX_OBJECTS};
+use super::{DetectorOptions, MAX_OBJECTS};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::image::resize_rgb_quickly;
 use crate::networks::PerceptionError;
@@ -50,7 +50,7 @@ fn num_cells(width: usize, height: usize) -> usize {
 }
 
 /// A network of the family, ready to run.
-pub(super) struct Yolox {
+pub struct Yolox {
     model: Model,
     options: DetectorOptions,
     /// Names of the classes that are reported, by class number.
@@ -132,8 +132,12 @@ fn is_decoded(output: &Tensor) -> bool {
     output.values.chunks_exact(output.shape[2]).all(|row| row[2] >= 0.0 && row[3] >= 0.0)
 }
 
-impl Detector for Yolox {
-    fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError> {
+impl Yolox {
+    /// The objects found in `image`; highest confidence first.
+    ///
+    /// # Errors
+    /// When the network cannot be run or answers in a shape that its family does not allow.
+    pub fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError> {
         let frame = image.dimensions();
         if frame.0 == 0 || frame.1 == 0 {
             return Ok(Vec::new());

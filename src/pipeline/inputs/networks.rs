@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::ffi::onnx::{self, Provider};
 use crate::networks::{
-    BoxSegmenter, DefaultModels, Detector, GrabCut, PerceptionError, default_descriptions, default_models,
+    BoxSegmenter, DefaultModels, GrabCut, PerceptionError, Yolox, default_descriptions, default_models,
     load_box_segmenter, load_detector, load_small_box_segmenter,
 };
 use crate::pipeline::driver::fingerprint;
@@ -71,7 +71,7 @@ impl Networks {
     }
 
     /// The detector, where there is one.
-    pub(in crate::pipeline) fn load_detector(&self, run: &Run) -> Result<Option<Box<dyn Detector>>, PipelineError> {
+    pub(in crate::pipeline) fn load_detector(&self, run: &Run) -> Result<Option<Yolox>, PipelineError> {
         let load = |path: &Path| load_detector(path, &run.options.detector, run.options.resources());
         Ok(self.detector.as_deref().map(load).transpose()?)
     }

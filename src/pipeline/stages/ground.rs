@@ -300,7 +300,7 @@ fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
 }
 
 /// Loads the semantic model with the options of the run.
-pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<Box<dyn GroundSegmenter>, PipelineError> {
+pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<GroundSegmenter, PipelineError> {
     Ok(load_ground_segmenter(model, &run.options.ground_segmentation, run.options.resources())?)
 }
 
