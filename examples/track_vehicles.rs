@@ -59,7 +59,7 @@ fn follow(
             .map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image, &tracker.places())))
             .transpose()?;
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-        let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+        let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
         let masks = timed(&mut times.tracking, || tracker.advance(&frame, &image, look, flow.as_ref()))?;
         if let Some(folder) = pictures {
             write_picture(folder, &frame, &image, &masks)?;

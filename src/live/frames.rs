@@ -6,8 +6,9 @@ use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::{LiveError, PATIENCE};
+use super::PATIENCE;
 use crate::files::Growth;
+use crate::pipeline::PipelineError;
 use crate::scene::Frame;
 use crate::video::{Frames, VideoError};
 
@@ -59,8 +60,8 @@ impl Newest {
     /// Decodes on a thread of its own.
     ///
     /// # Errors
-    /// [`LiveError::Thread`].
-    pub(super) fn start(input: Input) -> Result<Self, LiveError> {
+    /// [`PipelineError::Thread`].
+    pub(super) fn start(input: Input) -> Result<Self, PipelineError> {
         let begun = Slot { has_begun: input.is_paced, ..Slot::default() };
         let slot = Arc::new((Mutex::new(begun), Condvar::new()));
         let filled = slot.clone();
@@ -84,7 +85,7 @@ impl Newest {
             lock(&filled.0).is_over = true;
             filled.1.notify_all();
         };
-        thread::Builder::new().name("newest".into()).spawn(work).map_err(LiveError::Thread)?;
+        thread::Builder::new().name("newest".into()).spawn(work).map_err(PipelineError::Thread)?;
         Ok(Self { slot })
     }
 

@@ -38,16 +38,13 @@ pub use line::{
 pub use telemetry::TelemetryFeed;
 
 use crate::camera::Camera;
-use crate::features::FeatureError;
 use crate::ffi::{memory, priority};
 use crate::files::Growth;
-use crate::io::IoError;
 use crate::io::interchange::colmap;
-use crate::mapper::{Intrinsics, MapperError};
-use crate::networks::PerceptionError;
-use crate::pipeline::{IntrinsicsSource, Options};
+use crate::mapper::Intrinsics;
+use crate::pipeline::{IntrinsicsSource, Options, PipelineError};
 use crate::scene::{Frame, ObjectId};
-use crate::video::{Source, VideoError};
+use crate::video::Source;
 use frames::{Input, Next};
 use load::Load;
 use map::{MIN_KEYS, Mapper, NoMap, WorldMap};
@@ -74,35 +71,6 @@ const HOVER_RETRY_S: f64 = 2.0;
 const NO_MAP_S: f64 = 5.0;
 /// Longest wait for a frame before signals are looked at.
 const PATIENCE: Duration = Duration::from_millis(50);
-
-/// Why live processing ended.
-#[derive(Debug, thiserror::Error)]
-pub enum LiveError {
-    /// The recording cannot be decoded.
-    #[error(transparent)]
-    Video(#[from] VideoError),
-    /// Networks.
-    #[error(transparent)]
-    Perception(#[from] PerceptionError),
-    /// Point tracking.
-    #[error(transparent)]
-    Features(#[from] FeatureError),
-    /// The mapper.
-    #[error(transparent)]
-    Mapper(#[from] MapperError),
-    /// A file of intrinsics.
-    #[error(transparent)]
-    Io(#[from] IoError),
-    /// An option has no use here.
-    #[error("{0}")]
-    Options(String),
-    /// No thread.
-    #[error("thread cannot be started: {0}")]
-    Thread(io::Error),
-    /// A line cannot be written.
-    #[error("result line cannot be written: {0}")]
-    Sink(io::Error),
-}
 
 /// Looks at a frame that is processed.
 pub type Watch = dyn Fn(&Frame, &RgbImage);
@@ -140,12 +108,12 @@ pub enum Order {
 /// * `order` – asked between frames.
 ///
 /// # Errors
-/// [`LiveError`]; the recording is not affected.
+/// [`PipelineError`]; the recording is not affected.
 pub fn run(
     job: &Job,
     sink: &mut dyn FnMut(&Line) -> io::Result<()>,
     order: &dyn Fn() -> Order,
-) -> Result<EndLine, LiveError> {
+) -> Result<EndLine, PipelineError> {
     let options = job.options;
     let load = Arc::<Mutex<Load>>::default();
     let perception = PerceptionThread::start(options, &load)?;
@@ -190,7 +158,7 @@ pub fn run(
 }
 
 /// The camera before it is estimated, and prior knowledge of it.
-fn camera(source: &Source, options: &Options) -> Result<(Camera, Intrinsics), LiveError> {
+fn camera(source: &Source, options: &Options) -> Result<(Camera, Intrinsics), PipelineError> {
     let info = source.info();
     let prior = Camera::prior(info.source_width, info.source_height);
     let given = match &options.intrinsics {
@@ -201,7 +169,7 @@ fn camera(source: &Source, options: &Options) -> Result<(Camera, Intrinsics), Li
             _ => None,
         },
     };
-    let given = given.ok_or_else(|| LiveError::Options("--intrinsics: expected those of one camera".to_owned()))?;
+    let given = given.ok_or_else(|| PipelineError::Options("--intrinsics: expected those of one camera".to_owned()))?;
     Ok((given.resized(info.width, info.height), options.intrinsics_std))
 }
 
@@ -233,7 +201,7 @@ struct Live<'a> {
 
 impl Live<'_> {
     /// Processes a frame.
-    fn step(&mut self, perceived: Perceived) -> Result<(), LiveError> {
+    fn step(&mut self, perceived: Perceived) -> Result<(), PipelineError> {
         let Perceived { frame, picture, at, seen, masks, identities, background, busy, num_dropped, num_skipped } =
             perceived;
         let begin = Instant::now();
@@ -267,7 +235,7 @@ impl Live<'_> {
         self.note_load(frame.time_s, busy.max(done - begin))
     }
 
-    fn note_load(&mut self, time_s: f64, busy: Duration) -> Result<(), LiveError> {
+    fn note_load(&mut self, time_s: f64, busy: Duration) -> Result<(), PipelineError> {
         let dropped = self.end.dropped;
         let mut load = self.load();
         let Some(reason) = load.note(time_s, busy.as_secs_f64(), dropped) else { return Ok(()) };
@@ -281,7 +249,7 @@ impl Live<'_> {
     }
 
     /// Reports once why there has been no map for a while.
-    fn note_absence(&mut self, time_s: f64) -> Result<(), LiveError> {
+    fn note_absence(&mut self, time_s: f64) -> Result<(), PipelineError> {
         let since_s = *self.mapped_s.get_or_insert(time_s);
         if time_s - since_s < NO_MAP_S {
             return Ok(());
@@ -319,13 +287,13 @@ impl Live<'_> {
     }
 
     /// Takes what the workers have finished.
-    fn take_results(&mut self, wait: Wait) -> Result<(), LiveError> {
+    fn take_results(&mut self, wait: Wait) -> Result<(), PipelineError> {
         self.take_map(wait)?;
         self.take_models(wait)
     }
 
     /// Takes the map that was requested, if there is one, and requests the models of a final one.
-    fn take_map(&mut self, wait: Wait) -> Result<(), LiveError> {
+    fn take_map(&mut self, wait: Wait) -> Result<(), PipelineError> {
         let map = match self.mapper.poll(wait)? {
             None => return Ok(()),
             Some(Err(why)) => {
@@ -357,7 +325,7 @@ impl Live<'_> {
     }
 
     /// Takes the models that were requested, if they are made.
-    fn take_models(&mut self, wait: Wait) -> Result<(), LiveError> {
+    fn take_models(&mut self, wait: Wait) -> Result<(), PipelineError> {
         match self.modeler.poll(wait)? {
             Some(models) => self.finalize(&models),
             None => Ok(()),
@@ -365,7 +333,7 @@ impl Live<'_> {
     }
 
     /// Writes the poses and positions that are final.
-    fn finalize(&mut self, models: &BTreeMap<ObjectId, Model>) -> Result<(), LiveError> {
+    fn finalize(&mut self, models: &BTreeMap<ObjectId, Model>) -> Result<(), PipelineError> {
         let Some(Leaving { map, until_s, positions }) = self.leaving.take() else { return Ok(()) };
         let (frames, lines) = self.vehicles.finalize(&map, until_s, &positions, models);
         for frame in frames {
@@ -379,16 +347,16 @@ impl Live<'_> {
         Ok(())
     }
 
-    fn write(&mut self, lines: Vec<VehicleLine>) -> Result<(), LiveError> {
+    fn write(&mut self, lines: Vec<VehicleLine>) -> Result<(), PipelineError> {
         lines.into_iter().try_for_each(|line| self.send(Line::Vehicle(line)))
     }
 
-    fn send(&mut self, line: Line) -> Result<(), LiveError> {
-        (self.sink)(&line).map_err(LiveError::Sink)
+    fn send(&mut self, line: Line) -> Result<(), PipelineError> {
+        (self.sink)(&line).map_err(PipelineError::Sink)
     }
 
     /// Makes the last map, unless the run is to stop, and sums up.
-    fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, LiveError> {
+    fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, PipelineError> {
         if order() != Order::Stop {
             self.take_results(Wait::Yes)?;
             if self.map.is_some() || self.window.num_keys() >= MIN_KEYS {
@@ -438,7 +406,7 @@ enum Purpose {
 /// A thread that does one job at a time, with the processor time that the frames leave.
 struct Worker<Job, Found> {
     jobs: SyncSender<Job>,
-    found: Receiver<Result<Found, LiveError>>,
+    found: Receiver<Result<Found, PipelineError>>,
     is_busy: bool,
 }
 
@@ -446,8 +414,8 @@ impl<Job: Send + 'static, Found: Send + 'static> Worker<Job, Found> {
     /// Starts it. Its adjustments run on this thread, too.
     fn start(
         name: &'static str,
-        mut work: impl FnMut(Job) -> Result<Found, LiveError> + Send + 'static,
-    ) -> Result<Self, LiveError> {
+        mut work: impl FnMut(Job) -> Result<Found, PipelineError> + Send + 'static,
+    ) -> Result<Self, PipelineError> {
         let (jobs, requested) = sync_channel::<Job>(1);
         let (finished, found) = channel();
         let pool = rayon::ThreadPoolBuilder::new()
@@ -455,7 +423,7 @@ impl<Job: Send + 'static, Found: Send + 'static> Worker<Job, Found> {
             .thread_name(move |_| name.into())
             .start_handler(|_| priority::lower())
             .build();
-        let pool = pool.map_err(|error| LiveError::Thread(io::Error::other(error)))?;
+        let pool = pool.map_err(|error| PipelineError::Thread(io::Error::other(error)))?;
         let work = move || {
             for job in requested {
                 if finished.send(pool.install(|| work(job))).is_err() {
@@ -463,7 +431,7 @@ impl<Job: Send + 'static, Found: Send + 'static> Worker<Job, Found> {
                 }
             }
         };
-        thread::Builder::new().name(name.into()).spawn(work).map_err(LiveError::Thread)?;
+        thread::Builder::new().name(name.into()).spawn(work).map_err(PipelineError::Thread)?;
         Ok(Self { jobs, found, is_busy: false })
     }
 
@@ -472,7 +440,7 @@ impl<Job: Send + 'static, Found: Send + 'static> Worker<Job, Found> {
     }
 
     /// The result of the job; `None` where it is not finished.
-    fn poll(&mut self, wait: Wait) -> Result<Option<Found>, LiveError> {
+    fn poll(&mut self, wait: Wait) -> Result<Option<Found>, PipelineError> {
         if !self.is_busy {
             return Ok(None);
         }
@@ -482,7 +450,7 @@ impl<Job: Send + 'static, Found: Send + 'static> Worker<Job, Found> {
         };
         match found {
             Err(TryRecvError::Empty) => Ok(None),
-            Err(TryRecvError::Disconnected) => Err(LiveError::Thread(io::Error::other("a worker has ended"))),
+            Err(TryRecvError::Disconnected) => Err(PipelineError::Thread(io::Error::other("a worker has ended"))),
             Ok(found) => {
                 self.is_busy = false;
                 found.map(Some)

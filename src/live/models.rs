@@ -7,12 +7,11 @@ use std::sync::Arc;
 
 use nalgebra::{Matrix3, Point3};
 
-use super::LiveError;
 use super::map::{MIN_TRACK, WorldMap};
 use super::window::{Limits, evenly, register, sub_table};
 use crate::features::TrackTable;
 use crate::mapper::{self, Intrinsics};
-use crate::pipeline::{Options, object_pose_priors};
+use crate::pipeline::{Options, PipelineError, object_pose_priors};
 use crate::scene::{Frame, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase, Unit};
 use crate::trajectory::{self, Candidate, Evidence, ModelOrigin, ObjectDescription, Outlines, verdicts};
 
@@ -81,8 +80,8 @@ impl Model {
 /// Reconstructs the vehicles of a window: models by their provisional ids.
 ///
 /// # Errors
-/// [`LiveError::Mapper`], which would be a bug.
-pub(super) fn place_all(request: &Request, options: &Options) -> Result<BTreeMap<ObjectId, Model>, LiveError> {
+/// [`PipelineError::Mapper`], which would be a bug.
+pub(super) fn place_all(request: &Request, options: &Options) -> Result<BTreeMap<ObjectId, Model>, PipelineError> {
     let max_views = (TOTAL_VIEWS / request.subjects.len().max(1)).clamp(FEW_VIEWS, MAX_VIEWS);
     let mut models = BTreeMap::new();
     for subject in &request.subjects {
@@ -97,7 +96,7 @@ fn place(
     request: &Request,
     options: &Options,
     max_views: usize,
-) -> Result<Option<Model>, LiveError> {
+) -> Result<Option<Model>, PipelineError> {
     let Request { map, outlines, frames, .. } = request;
     let Subject { object: id, class, confidence, table } = subject;
     let registered: Vec<usize> =

@@ -12,14 +12,14 @@ use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
+use super::PATIENCE;
 use super::frames::{Arrived, Input, Newest, Next};
 use super::load::Load;
-use super::{LiveError, PATIENCE};
 use crate::networks::{
-    BoxSegmenter, Detector, FlowEstimator, GrabCut, default_models, load_box_segmenter, load_detector, load_flow,
+    BoxSegmenter, FlowEstimator, GrabCut, Yolox, default_models, load_box_segmenter, load_detector, load_flow,
     load_small_box_segmenter,
 };
-use crate::pipeline::{DetectorChoice, MaskChoice, MaskingOptions, Options};
+use crate::pipeline::{DetectorChoice, MaskChoice, MaskingOptions, Options, PipelineError};
 use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect, Topic};
 use crate::tracking::{BoxSource, ConfirmedObject, FrameInput, Predecessor, TrackedMask, Tracker};
 use crate::trajectory::Silhouette;
@@ -72,7 +72,7 @@ pub(super) struct Perceived {
 /// The thread of perception.
 pub(super) struct PerceptionThread {
     input: Sender<Input>,
-    perceived: Receiver<Result<Box<Perceived>, LiveError>>,
+    perceived: Receiver<Result<Box<Perceived>, PipelineError>>,
 }
 
 impl PerceptionThread {
@@ -81,8 +81,8 @@ impl PerceptionThread {
     /// * `load` – decides what is done in a frame; the thread ends when its owner has dropped it.
     ///
     /// # Errors
-    /// [`LiveError::Perception`] where a network is missing, [`LiveError::Thread`].
-    pub(super) fn start(options: &Options, load: &Arc<Mutex<Load>>) -> Result<Self, LiveError> {
+    /// [`PipelineError::Perception`] where a network is missing, [`PipelineError::Thread`].
+    pub(super) fn start(options: &Options, load: &Arc<Mutex<Load>>) -> Result<Self, PipelineError> {
         let (input, source) = channel();
         let (sender, perceived) = sync_channel(1);
         let (ready, loaded) = channel();
@@ -96,7 +96,7 @@ impl PerceptionThread {
                 }
             }
         };
-        thread::Builder::new().name("perception".into()).spawn(work).map_err(LiveError::Thread)?;
+        thread::Builder::new().name("perception".into()).spawn(work).map_err(PipelineError::Thread)?;
         loaded.recv().map_err(|_| ended())??;
         Ok(Self { input, perceived })
     }
@@ -104,8 +104,8 @@ impl PerceptionThread {
     /// Begins with the frames of a video.
     ///
     /// # Errors
-    /// [`LiveError::Thread`].
-    pub(super) fn begin(&self, input: Input) -> Result<(), LiveError> {
+    /// [`PipelineError::Thread`].
+    pub(super) fn begin(&self, input: Input) -> Result<(), PipelineError> {
         self.input.send(input).map_err(|_| ended())
     }
 
@@ -113,7 +113,7 @@ impl PerceptionThread {
     ///
     /// # Errors
     /// Those of the thread, which ends with the first.
-    pub(super) fn take(&self, patience: Duration) -> Result<Next<Box<Perceived>>, LiveError> {
+    pub(super) fn take(&self, patience: Duration) -> Result<Next<Box<Perceived>>, PipelineError> {
         match self.perceived.recv_timeout(patience) {
             Ok(perceived) => perceived.map(Next::Frame),
             Err(RecvTimeoutError::Timeout) => Ok(Next::Nothing),
@@ -122,8 +122,8 @@ impl PerceptionThread {
     }
 }
 
-fn ended() -> LiveError {
-    LiveError::Thread(io::Error::other("perception has ended"))
+fn ended() -> PipelineError {
+    PipelineError::Thread(io::Error::other("perception has ended"))
 }
 
 /// Processes frames until there are no more, or nobody takes them.
@@ -131,7 +131,7 @@ fn perceive(
     mut perception: Perception,
     input: Input,
     load: &Weak<Mutex<Load>>,
-    sender: &SyncSender<Result<Box<Perceived>, LiveError>>,
+    sender: &SyncSender<Result<Box<Perceived>, PipelineError>>,
 ) {
     let newest = match Newest::start(input) {
         Ok(newest) => newest,
@@ -170,7 +170,7 @@ fn perceive(
 
 /// Finds and follows vehicles.
 struct Perception {
-    detector: Option<Box<dyn Detector>>,
+    detector: Option<Yolox>,
     segmenter: Box<dyn BoxSegmenter>,
     flow: Box<dyn FlowEstimator>,
     tracker: Tracker,
@@ -192,8 +192,8 @@ impl Perception {
     /// Loads the networks.
     ///
     /// # Errors
-    /// [`LiveError::Perception`] where a network is missing: nothing else detects vehicles here.
-    fn new(options: &Options) -> Result<Self, LiveError> {
+    /// [`PipelineError::Perception`] where a network is missing: nothing else detects vehicles here.
+    fn new(options: &Options) -> Result<Self, PipelineError> {
         let resources = options.resources();
         let detector = match &options.vehicles.detector {
             DetectorChoice::None => None,
@@ -224,7 +224,7 @@ impl Perception {
     /// Takes the next frame.
     ///
     /// * `periods_s` – time between looks of the detector, and of the mask network, seconds.
-    fn perceive(&mut self, arrived: Arrived, periods_s: [f64; 2]) -> Result<Perceived, LiveError> {
+    fn perceive(&mut self, arrived: Arrived, periods_s: [f64; 2]) -> Result<Perceived, PipelineError> {
         let begin = Instant::now();
         let Arrived { frame, picture, at } = arrived;
         let seen = self.push(&frame, &picture, periods_s)?;
@@ -238,7 +238,7 @@ impl Perception {
     /// Takes the next frame; gives the masks of its objects, and better ones of frames before.
     ///
     /// * `periods_s` – time between looks of the detector, and of the mask network, seconds.
-    fn push(&mut self, frame: &Frame, picture: &RgbImage, periods_s: [f64; 2]) -> Result<Vec<Outlined>, LiveError> {
+    fn push(&mut self, frame: &Frame, picture: &RgbImage, periods_s: [f64; 2]) -> Result<Vec<Outlined>, PipelineError> {
         let is_due = |k: usize| frame.time_s - self.looked_s[k] >= (1.0 - EARLY) * periods_s[k];
         let [detects, segments] = [is_due(0), is_due(1)];
         let flow = match &self.previous {
@@ -258,7 +258,7 @@ impl Perception {
             self.looked_s[1] = frame.time_s;
         }
         let prompter = if segments { Some(&mut *self.segmenter as &mut dyn BoxSegmenter) } else { None };
-        let input = FrameInput::Boxes { found, by, prompter };
+        let input = FrameInput { found, by, prompter };
         self.masks = self.tracker.advance(frame, picture, input, flow.as_ref())?;
         self.previous = Some(picture.clone());
         self.tracker.take_finished();

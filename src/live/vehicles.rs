@@ -8,7 +8,6 @@ use std::time::Instant;
 use ::image::RgbImage;
 use nalgebra::{Matrix3, Point2, Point3};
 
-use super::LiveError;
 use super::WINDOW_S;
 use super::georeference::rounded;
 use super::line::{GeoPosition, LengthUnit, MotionState, PositionMethod, State, VehicleLine};
@@ -20,7 +19,7 @@ use crate::camera::Camera;
 use crate::features::Picture;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::metric::{ObservedPoint, in_metres};
-use crate::pipeline::Options;
+use crate::pipeline::{Options, PipelineError};
 use crate::scene::{
     Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, ObjectImage, Reconstruction,
     Rect,
@@ -136,7 +135,7 @@ impl Vehicles {
         picture: &RgbImage,
         masks: &[TrackedMask],
         camera: Camera,
-    ) -> Result<(), LiveError> {
+    ) -> Result<(), PipelineError> {
         let picture = Picture::new(picture);
         for TrackedMask { object, mask, .. } in masks {
             let Some(vehicle) = self.vehicles.get_mut(object) else { continue };

@@ -6,7 +6,7 @@ use ::image::RgbImage;
 use nalgebra::Point2;
 
 use super::map::WorldMap;
-use super::{LiveError, Purpose, WINDOW_S};
+use super::{Purpose, WINDOW_S};
 use crate::camera::Camera;
 use crate::features::Picture;
 use crate::features::lines::ImageLines;
@@ -14,6 +14,7 @@ use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::math::{Rigid3, median, seeded_rng};
+use crate::pipeline::PipelineError;
 use crate::scene::{
     CameraId, Frame, FrameId, Image, ImageId, Mask, ObjectImage, Observation, Point3dId, Reconstruction,
 };
@@ -85,7 +86,7 @@ impl Window {
     }
 
     /// Takes the next frame.
-    pub(super) fn push(&mut self, frame: &Frame, picture: &RgbImage, background: &Mask) -> Result<(), LiveError> {
+    pub(super) fn push(&mut self, frame: &Frame, picture: &RgbImage, background: &Mask) -> Result<(), PipelineError> {
         self.front_end.push(frame, &Picture::new(picture), background)?;
         self.frames.push(frame.clone());
         self.is_key.push(false);

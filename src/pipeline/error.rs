@@ -83,6 +83,12 @@ pub enum PipelineError {
     /// The options do not fit to the input.
     #[error("{0}")]
     Options(String),
+    /// A thread of live processing.
+    #[error("thread cannot be started: {0}")]
+    Thread(io::Error),
+    /// A line of live processing.
+    #[error("result line cannot be written: {0}")]
+    Sink(io::Error),
     /// A folder of masks of which none belongs to a frame.
     #[error(
         "{path}: no mask matches a frame; expected PNG files named like the frames, such as '{example}.png', or by \

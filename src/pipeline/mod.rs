@@ -38,7 +38,7 @@ pub use inputs::hovering::{OnMap, Station, camera_by_map_points, check_map_point
 pub use inputs::telemetry::telemetry_of;
 pub use options::{
     Ablation, DetectorChoice, FeatureKind, FrameOrder, GroundLabels, Instances, IntrinsicsSource, MOST_THREADS,
-    MaskChoice, MaskingOptions, Method, MetricOptions, ModelFiles, MotionChoice, OptionRow, OptionSection, Options,
+    MaskChoice, MaskingOptions, Method, MetricOptions, MotionChoice, OptionRow, OptionSection, Options,
     TelemetryChoice, VehicleOptions,
 };
 pub use stages::background::{CameraReport, ModelReport, background_frame};

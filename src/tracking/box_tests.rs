@@ -41,7 +41,7 @@ fn a_car_is_followed_whatever_the_distance_of_key_frames() {
 }
 
 #[test]
-fn frames_that_nobody_looked_at_are_not_missed() {
+fn frames_between_two_looks_of_the_detector_are_not_missed() {
     let world = one_car();
     for every in [5, 10, 20] {
         let mut tracker = Tracker::new(TrackerOptions { min_detections: 2, ..TrackerOptions::default() });
@@ -49,18 +49,18 @@ fn frames_that_nobody_looked_at_are_not_missed() {
             let flow = (t > 0).then(|| world.flow(t));
             let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
             let look = match t % every {
-                0 => FrameInput::Boxes {
+                0 => FrameInput {
                     found: found_boxes(world.boxes(t, DetectionSource::Detector)),
                     by: BoxSource::Detector,
                     prompter: Some(&mut prompter),
                 },
-                _ => FrameInput::NotLooked,
+                _ => FrameInput { found: Vec::new(), by: BoxSource::Motion, prompter: None },
             };
             let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
             assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}, every {every}");
         }
         let tracks = tracker.finish();
-        assert_eq!((tracks.len(), tracks[0].num_looks, tracks[0].found.detector), (1, 40 / every, 40 / every));
+        assert_eq!((tracks.len(), tracks[0].num_detector_looks, tracks[0].found.detector), (1, 40 / every, 40 / every));
         assert_eq!((tracks[0].found.carried, tracks[0].last), (40 - 40 / every, FrameId(39)));
     }
 }
@@ -81,7 +81,7 @@ fn a_car_in_which_flow_fails_goes_with_its_boxes() {
         found.iter_mut().for_each(|found| found.rect.x0 -= 6.0);
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
         let prompter = t.is_multiple_of(10).then_some(&mut prompter as &mut dyn BoxSegmenter);
-        let look = FrameInput::Boxes { found: found_boxes(found), by: BoxSource::Motion, prompter };
+        let look = FrameInput { found: found_boxes(found), by: BoxSource::Motion, prompter };
         let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
         assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}");
     }
@@ -104,7 +104,7 @@ fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
         let flow = (t > 0).then(|| world.flow(t));
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &narrow };
         let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn BoxSegmenter);
-        let look = FrameInput::Boxes {
+        let look = FrameInput {
             found: found_boxes(world.boxes(t, DetectionSource::Detector)),
             by: BoxSource::Detector,
             prompter,
@@ -143,12 +143,12 @@ fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
         let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
         let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn BoxSegmenter);
         let look = match t % 2 {
-            0 => FrameInput::Boxes {
+            0 => FrameInput {
                 found: found_boxes(world.boxes(t, DetectionSource::Detector)),
                 by: BoxSource::Detector,
                 prompter,
             },
-            _ => FrameInput::Boxes { found: Vec::new(), by: BoxSource::Motion, prompter },
+            _ => FrameInput { found: Vec::new(), by: BoxSource::Motion, prompter },
         };
         tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
     }
@@ -377,7 +377,7 @@ fn a_prompter_that_answers_out_of_shape_is_refused() {
     let mut tracker = Tracker::new(TrackerOptions::default());
     let mut prompter = world::WorldPrompter { world: &world, t: 0, num_asked: 0, spoil: &small };
     let found = found_boxes(world.boxes(0, DetectionSource::Detector));
-    let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
+    let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
     let wrong = tracker.advance(&World::frame(0), &world.image(0), look, None);
     assert!(matches!(wrong, Err(crate::networks::PerceptionError::SizeMismatch { .. })));
 }
@@ -471,7 +471,7 @@ fn what_stands_starts_a_track_only_where_the_detector_is_sure() {
             let boxes = world.boxes(t, DetectionSource::Detector).into_iter();
             let found =
                 boxes.map(|found| DetectedBox { found: BoxDetection { confidence, ..found }, stands }).collect();
-            let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
+            let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
             tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
         }
         let passed_over = tracker.passed_over();

@@ -68,18 +68,13 @@ use crate::scene::{
 };
 
 /// Input of the tracker for one frame.
-pub enum FrameInput<'a> {
-    /// Boxes of a detector, of motion, or of both.
-    Boxes {
-        /// Detections; may be empty.
-        found: Vec<DetectedBox>,
-        /// Who looked for them.
-        by: BoxSource,
-        /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
-        prompter: Option<&'a mut dyn BoxSegmenter>,
-    },
-    /// Nobody looked.
-    NotLooked,
+pub struct FrameInput<'a> {
+    /// Boxes of a detector, of motion, or of both; may be empty.
+    pub found: Vec<DetectedBox>,
+    /// Who looked for them.
+    pub by: BoxSource,
+    /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
+    pub prompter: Option<&'a mut dyn BoxSegmenter>,
 }
 
 /// A box that was found in a frame.

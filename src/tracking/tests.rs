@@ -188,20 +188,18 @@ fn sizes_and_order_are_checked() {
     let small = Detection { class: "car".into(), confidence: 0.9, mask: Mask::from_fn(5, 5, |_, _| true) };
     let mut advance = |t: usize, detections: Vec<Detection>| {
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-        let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+        let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
         tracker.advance(&World::frame(t), &image, look, None)
     };
     assert!(matches!(advance(3, vec![small]), Err(PerceptionError::SizeMismatch { .. })));
     advance(3, world.detections(0)).unwrap();
     let again = advance(3, Vec::new());
     assert!(matches!(again, Err(PerceptionError::FrameOrder { .. })));
-    let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), FrameInput::NotLooked, None);
+    let nothing = || FrameInput { found: Vec::new(), by: BoxSource::Motion, prompter: None };
+    let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), nothing(), None);
     assert!(matches!(other, Err(PerceptionError::SizeMismatch { .. })));
     // A tracker that refused something goes on.
-    assert_eq!(
-        tracker.advance(&World::frame(5), &image, FrameInput::NotLooked, Some(&world.flow(1))).unwrap().len(),
-        1
-    );
+    assert_eq!(tracker.advance(&World::frame(5), &image, nothing(), Some(&world.flow(1))).unwrap().len(), 1);
 }
 
 #[test]

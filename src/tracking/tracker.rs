@@ -87,18 +87,10 @@ impl Tracker {
         let elapsed_s = self.check(frame, image, flow)?;
         let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
         let view = FrameView { image, flow, now, elapsed_s };
-        let by = match look {
-            FrameInput::NotLooked => None,
-            FrameInput::Boxes { by, .. } => Some(by),
-        };
-        if let Some(by) = by {
-            self.num_looks += 1;
-            self.tracks.iter_mut().for_each(|track| track.look(by));
-        }
-        let sightings = match look {
-            FrameInput::Boxes { found, prompter, .. } => self.follow_boxes(&view, found, prompter)?,
-            FrameInput::NotLooked => self.follow_boxes(&view, Vec::new(), None)?,
-        };
+        let FrameInput { found, by, prompter } = look;
+        self.num_looks += 1;
+        self.tracks.iter_mut().for_each(|track| track.look(by));
+        let sightings = self.follow_boxes(&view, found, prompter)?;
         let masks = self.report(sightings, frame.id, Vec::new(), image.dimensions());
         self.settle(now, image.dimensions());
         self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));

@@ -119,7 +119,7 @@ impl World {
             let flow = (t > 0).then(|| self.flow(t));
             let detections = seen(t, self.detections(t));
             let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-            let look = FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+            let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())
@@ -188,7 +188,7 @@ impl World {
             let flow = (t > 0).then(|| self.flow(t));
             let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
             let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn BoxSegmenter);
-            let look = FrameInput::Boxes { found: found_boxes(boxes(t)), by: BoxSource::Detector, prompter };
+            let look = FrameInput { found: found_boxes(boxes(t)), by: BoxSource::Detector, prompter };
             frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())

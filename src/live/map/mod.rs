@@ -17,11 +17,11 @@ use std::time::Instant;
 
 use nalgebra::UnitQuaternion;
 
+use super::Purpose;
 use super::georeference::{self, Georeference, Georeferencer};
 use super::line::{CameraLine, GeoPosition, LengthUnit, MapLine, State};
 use super::telemetry::TelemetryFeed;
 use super::window::{LIMITS, Snapshot, evenly, keyframes, known_points, register, sub_table};
-use super::{LiveError, Purpose};
 use crate::camera::{Camera, SLOPE_STD};
 use crate::features::TrackTable;
 use crate::features::tracks::View;
@@ -29,7 +29,7 @@ use crate::ground::{BodyShape, DominantPlane, GroundChain, HoveringGround, Mount
 use crate::mapper::{self, Intrinsics, PosePriors};
 use crate::math::Rigid3;
 use crate::metric::{Level, Measured, ObservedPoint};
-use crate::pipeline::Options;
+use crate::pipeline::{Options, PipelineError};
 use crate::scene::{Frame, FrameId, GroundPlane, Image, MetricFrame, ObjectId, Observation, Reconstruction};
 use crate::trajectory::{Outlines, outline_pixels};
 use hovering::Hovering;
@@ -251,8 +251,8 @@ impl Mapper {
     /// Makes the map of a window, or tells why its frames do not give one.
     ///
     /// # Errors
-    /// [`LiveError::Mapper`], which would be a bug.
-    pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Result<WorldMap, NoMap>, LiveError> {
+    /// [`PipelineError::Mapper`], which would be a bug.
+    pub(super) fn update(&mut self, snapshot: &Snapshot) -> Result<Result<WorldMap, NoMap>, PipelineError> {
         let begin = Instant::now();
         self.first = self.first.or_else(|| Some(snapshot.frames.first()?.id));
         let Found { mut model, focal_std, is_continued } = match self.reconstruct(snapshot)? {
@@ -324,7 +324,7 @@ impl Mapper {
     }
 
     /// The map of a window in the frame of the last one, if they share enough.
-    fn reconstruct(&mut self, snapshot: &Snapshot) -> Result<Result<Found, NoMap>, LiveError> {
+    fn reconstruct(&mut self, snapshot: &Snapshot) -> Result<Result<Found, NoMap>, PipelineError> {
         let table = on_plane::views(snapshot);
         let rotations = || mapper::rotating_camera(&table, &self.camera);
         if self.hovering.is_some()
@@ -353,7 +353,10 @@ impl Mapper {
     }
 
     /// The keyframes by the batch mapper, or why they give no map.
-    fn of_keyframes(&self, snapshot: &Snapshot) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, LiveError> {
+    fn of_keyframes(
+        &self,
+        snapshot: &Snapshot,
+    ) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, PipelineError> {
         let keys = keyframes(snapshot);
         if keys.len() < MIN_KEYS {
             return Ok(Err(NoMap::Keyframes { found: keys.len() }));
@@ -371,7 +374,7 @@ impl Mapper {
         &self,
         table: &TrackTable,
         priors: Option<&PosePriors>,
-    ) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, LiveError> {
+    ) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, PipelineError> {
         let options = mapper::Options { max_starts: 1, ..self.options.background.mapper.clone() };
         let (cameras, seed) = ([self.camera], self.options.seed);
         let (model, report) =
@@ -399,7 +402,7 @@ impl Mapper {
         model: Reconstruction,
         snapshot: &Snapshot,
         camera: &Camera,
-    ) -> Result<Reconstruction, LiveError> {
+    ) -> Result<Reconstruction, PipelineError> {
         let views = &snapshot.table.views;
         let registered: Vec<usize> =
             (0..views.len()).filter(|&view| model.images.contains_key(&views[view].image)).collect();

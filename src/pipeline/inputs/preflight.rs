@@ -7,8 +7,9 @@ use std::collections::BTreeSet;
 
 use super::cameras;
 use super::given_masks::MaskFolder;
-use super::given_models::{self, Target};
+use super::given_models;
 use super::networks::Networks;
+use crate::features::Target;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::calibration_check;
 use crate::pipeline::stages::{ground, segment, track};

@@ -109,29 +109,6 @@ pub(super) fn not_intrinsics(count: usize) -> String {
     format!("{INTRINSICS}: expected 4, 5, 6, 8 or 9 numbers, found {count}")
 }
 
-/// Which form the files of models have.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
-#[serde(rename_all = "kebab-case")]
-pub enum ModelFiles {
-    /// Text, or binary if an image name contains a space.
-    #[default]
-    Auto,
-    /// `cameras.txt`, `images.txt`, `points3D.txt`.
-    Text,
-    /// `cameras.bin`, `images.bin`, `points3D.bin`.
-    Binary,
-}
-
-impl From<ModelFiles> for Encoding {
-    fn from(files: ModelFiles) -> Self {
-        match files {
-            ModelFiles::Auto => Self::Auto,
-            ModelFiles::Text => Self::Text,
-            ModelFiles::Binary => Self::Binary,
-        }
-    }
-}
-
 /// Kind of image points and of their matching across frames.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -184,7 +161,7 @@ pub struct Options {
     /// Models of objects, by id, to be used instead of reconstructions.
     pub object_models: BTreeMap<ObjectId, PathBuf>,
     /// Format of the COLMAP models written.
-    pub model_files: ModelFiles,
+    pub model_files: Encoding,
     /// Ids of the objects to be reconstructed; empty for all. Others are only kept out of the background.
     pub only_objects: BTreeSet<ObjectId>,
     /// Vehicle detection by the bundled networks and by motion.
@@ -269,7 +246,7 @@ impl Default for Options {
             intrinsics_std: Intrinsics::GIVEN,
             background_model: None,
             object_models: BTreeMap::new(),
-            model_files: ModelFiles::Auto,
+            model_files: Encoding::Auto,
             only_objects: BTreeSet::new(),
             vehicles: VehicleOptions::default(),
             provider: Provider::default(),

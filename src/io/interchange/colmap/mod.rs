@@ -20,6 +20,8 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use nalgebra::{Quaternion, UnitQuaternion};
+use schemars::JsonSchema;
+use serde::{Deserialize, Serialize};
 
 use super::assembly::{self, check_finite};
 use crate::camera::Camera;
@@ -99,14 +101,16 @@ pub fn is_model(folder: &Path) -> bool {
 }
 
 /// Encoding of a model.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "kebab-case")]
 pub enum Encoding {
-    /// As text, unless the name of an image has a blank in it: COLMAP's own reader of text cuts such names.
+    /// Text, or binary if an image name contains a space.
+    // COLMAP's own reader of text cuts such names.
     #[default]
     Auto,
-    /// As text.
+    /// `cameras.txt`, `images.txt`, `points3D.txt`.
     Text,
-    /// As binary.
+    /// `cameras.bin`, `images.bin`, `points3D.bin`.
     Binary,
 }
 

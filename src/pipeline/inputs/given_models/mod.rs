@@ -10,6 +10,7 @@ mod names;
 use std::path::{Path, PathBuf};
 
 use super::cameras;
+use crate::features::Target;
 use crate::io::RunFolder;
 use crate::io::interchange::model::{self, Format};
 use crate::pipeline::PipelineError;
@@ -18,15 +19,6 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::model_report::ModelReport;
 use crate::scene::{Frame, ImageId, Reconstruction, Warning};
 use images::{Pictures, Sizes};
-
-/// Target of a given model.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(in crate::pipeline) enum Target {
-    /// `--background-model`.
-    Background,
-    /// `--object-model`.
-    Object,
-}
 
 /// Hash of all that is read of a model.
 ///

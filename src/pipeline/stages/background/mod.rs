@@ -19,6 +19,7 @@ use serde_json::{Value, json};
 use super::features;
 use crate::bundle;
 use crate::camera::{Camera, NUM_INTRINSICS};
+use crate::features::Target;
 use crate::io::interchange::colmap;
 use crate::mapper::ModelWeakness;
 use crate::mapper::{self, PosePriors};
@@ -26,9 +27,8 @@ use crate::pipeline::PipelineError;
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
-use crate::pipeline::inputs::given_models::{self, Target};
+use crate::pipeline::inputs::given_models;
 use crate::pipeline::inputs::{cameras, order};
-use crate::pipeline::options::ModelFiles;
 use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
 
 /// Images whose position's standard deviation is computed: enough for a median.
@@ -52,7 +52,7 @@ pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, Pipe
 
 /// Inputs of a stage that writes models, with their form if one was requested.
 pub(in crate::pipeline) fn with_model_files(mut cache_key: Value, run: &Run) -> Value {
-    if run.options.model_files != ModelFiles::Auto {
+    if run.options.model_files != colmap::Encoding::Auto {
         cache_key["model_files"] = json!(run.options.model_files);
     }
     cache_key
@@ -64,9 +64,6 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
         Some(path) => given_models::read(path, Target::Background, run)?,
         None => reconstruct_views(run, &mut outcome)?,
     };
-    if !report.given {
-        report.describe_points(&model);
-    }
     if !model.points.is_empty() {
         if order::found(run)?.in_time {
             report.focal_changes = focal_changes(run, &model, report.given)?;
@@ -293,7 +290,7 @@ fn described(model: &Reconstruction, report: &mapper::Report) -> ModelReport {
 
 /// Puts a model in its public place, whole.
 pub(in crate::pipeline) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
-    run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files.into())?))
+    run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files)?))
 }
 
 /// Warns where a target is visible in frames whose camera is not known.

@@ -25,30 +25,24 @@ pub struct ModelReport {
     /// Observations of these points.
     pub num_observations: usize,
     /// Points that were rejected since they came to lie behind a camera that observes them, or at infinity.
-    #[serde(default)]
     pub num_infinite_points: usize,
     /// Mean reprojection error, pixels; `None` without observations.
     pub mean_error_px: Option<f64>,
     /// Weaknesses of the model: a planar scene, forward motion, ...
     pub remarks: Vec<Warning>,
     /// True if its cameras are those of the background: the target is seen as something that does not move.
-    #[serde(default)]
     pub shares_cameras: bool,
     /// Points that were taken out because they project next to the object's masks.
     pub num_outside_masks: usize,
     /// The first of its cameras.
     pub camera: Option<Camera>,
     /// Focal length of the first camera, pixels.
-    #[serde(default)]
     pub focal_length_px: Option<f64>,
     /// Standard deviation of that focal length, pixels; `None` where it was given and not looked for.
-    #[serde(default)]
     pub focal_std_px: Option<f64>,
     /// Changes of the focal length during the video, which the model takes for motion.
-    #[serde(default)]
     pub focal_changes: Vec<FocalChange>,
     /// All cameras, of a model that was reconstructed.
-    #[serde(default)]
     pub cameras: Vec<CameraReport>,
 }
 

@@ -18,12 +18,13 @@ use super::track;
 use super::track::movement::{PointFinding, PointFindings};
 use super::{follow, ground};
 use crate::camera::Camera;
+use crate::features::Target;
 use crate::features::TrackTable;
 use crate::ground::HoveringGround;
 use crate::io::interchange::colmap;
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::given_models::{self, Target};
+use crate::pipeline::inputs::given_models;
 use crate::pipeline::inputs::{hovering, order};
 use crate::pipeline::{PipelineError, Stage};
 use crate::scene::{

@@ -88,14 +88,14 @@ impl Finds {
                 let detections = folder.read(frame.id)?;
                 let found = DetectedBox::of_masks(&detections);
                 *known = KnownMasks::new(detections);
-                FrameInput::Boxes { found, by: BoxSource::Detector, prompter: Some(known) }
+                FrameInput { found, by: BoxSource::Detector, prompter: Some(known) }
             }
             Self::Boxes { detected, moving, prompter, rhythm } => {
                 let mut found = stationary_boxes::boxes(run, detected, frame.id)?;
                 found.extend(moving.read(frame.id)?.into_iter().map(DetectedBox::from));
                 prompter.begin(frame.id, Pass::Forward);
                 let by = if rhythm.is_detected(index) { BoxSource::Detector } else { BoxSource::Motion };
-                FrameInput::Boxes { found, by, prompter: if rhythm.is_asked(index) { Some(prompter) } else { None } }
+                FrameInput { found, by, prompter: if rhythm.is_asked(index) { Some(prompter) } else { None } }
             }
         })
     }
