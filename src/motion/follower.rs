@@ -7,6 +7,8 @@
 //! no point is. A cell whose point did not last rests for some frames: of ten new points four do not last, most of them
 //! again and again in the same cells.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
@@ -55,6 +57,20 @@ const MAX_ROUND_TRIP_PX: f32 = 0.6;
 const MAX_DIFFERENCE: f32 = 20.0;
 /// Shortest track that is kept, frames.
 const MIN_TRACK_LENGTH: usize = 4;
+
+/// Indices of the tracks that see each frame, from the first frame on.
+pub fn alive(tracks: &[PointTrack]) -> impl Iterator<Item = Vec<usize>> {
+    let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for (k, track) in tracks.iter().enumerate() {
+        starting.entry(track.first).or_default().push(k);
+    }
+    let mut live: Vec<usize> = Vec::new();
+    (0u32..).map(move |frame| {
+        live.extend(starting.remove(&frame).into_iter().flatten());
+        live.retain(|&k| tracks[k].end() > frame);
+        live.clone()
+    })
+}
 
 /// Follows points frame by frame. The same frames give the same tracks, whatever the number of threads.
 pub struct PointFollower {

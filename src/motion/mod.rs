@@ -27,7 +27,7 @@ mod world;
 
 pub use self::classify::{Evidence, GROUND_TOLERANCE, StaticPoint, TrackLabel, Verdict, classify};
 pub use self::differences::{DifferenceDetector, MovingObject};
-pub use self::follower::{PointFollower, PointTrack};
+pub use self::follower::{PointFollower, PointTrack, alive};
 pub use self::ground::GroundModel;
 pub use self::judge::{CLEAR_ODDS, Judgement, MovementReason, PointOnObject, judge, judge_pieces, without_sway};
 pub use self::movers::{Mover, movers};

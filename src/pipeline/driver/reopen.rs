@@ -18,9 +18,10 @@ struct RunJson {
     options: OptionsJson,
 }
 
+/// Input in `run.json`.
 #[derive(Deserialize)]
-struct InputJson {
-    path: PathBuf,
+pub(in crate::pipeline) struct InputJson {
+    pub(in crate::pipeline) path: PathBuf,
 }
 
 #[derive(Deserialize)]

@@ -178,6 +178,11 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
+    /// Folder for intermediate files of a stage of this run.
+    pub(in crate::pipeline) fn folder(&self, prefix: &str, stage: Stage) -> PathBuf {
+        self.workspace.state(&fingerprint::folder_name(prefix, self.fingerprint(stage)))
+    }
+
     /// Returns true if an earlier run left the results of a stage with this fingerprint.
     pub(in crate::pipeline) fn is_done(&self, stage: Stage, fingerprint: &str) -> bool {
         let marker = self.workspace.marker(stage);

@@ -58,15 +58,20 @@ fn pairs<'a>(
     let clockwise = f64::from(run.info().rotation_deg).to_radians();
     let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), clockwise);
     let offset_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
-    let nearest = |(frame, image): &(&Frame, &'a Image)| {
+    let pair = |(frame, image): &(&Frame, &'a Image)| {
         let time_s = frame.time_s + offset_s;
-        let after = samples.partition_point(|sample| sample.video_s < time_s);
-        let near = [after.saturating_sub(1), after].map(|at| samples.get(at));
-        let age_s = |sample: &&CameraSample| (sample.video_s - time_s).abs();
-        let sample = near.into_iter().flatten().min_by(|a, b| age_s(a).total_cmp(&age_s(b)))?;
-        (age_s(&sample) <= MAX_AGE_S).then_some((*sample, upright, *image))
+        let sample = nearest(samples, time_s, MAX_AGE_S, |sample| sample.video_s)?;
+        Some((*sample, upright, *image))
     };
-    seen.iter().filter_map(nearest).collect()
+    seen.iter().filter_map(pair).collect()
+}
+
+/// The sample nearest to a time, if it is not older or newer than an age; samples ascend in time.
+fn nearest<T>(samples: &[T], time_s: f64, max_age_s: f64, at_s: impl Fn(&T) -> f64) -> Option<&T> {
+    let age_s = |sample: &&T| (at_s(sample) - time_s).abs();
+    let after = samples.partition_point(|sample| at_s(sample) < time_s);
+    let near = [after.saturating_sub(1), after].into_iter().filter_map(|at| samples.get(at));
+    near.min_by(|a, b| age_s(a).total_cmp(&age_s(b))).filter(|sample| age_s(sample) <= max_age_s)
 }
 
 /// States by how much the camera's own rotations differ from those of the reconstruction.
@@ -99,12 +104,8 @@ pub fn orientation(
         .collect();
     let pair = |(frame, image): (&Frame, &Image)| -> Option<(UnitQuaternion<f64>, UnitQuaternion<f64>)> {
         let time_s = frame.time_s + log_from_video_s;
-        let after = timed.partition_point(|(at, _)| *at < time_s);
-        let near = [after.saturating_sub(1), after];
-        let near = near.into_iter().filter_map(|i| timed.get(i).copied());
-        let (at, angles) = near.min_by(|a, b| (a.0 - time_s).abs().total_cmp(&(b.0 - time_s).abs()))?;
-        let is_recent = (at - time_s).abs() <= MAX_AGE_S;
-        is_recent.then(|| (metric_from_cam(angles.yaw, angles.pitch, angles.roll), image.cam_from_world.rotation))
+        let (_, angles) = nearest(&timed, time_s, MAX_AGE_S, |(at, _)| *at)?;
+        Some((metric_from_cam(angles.yaw, angles.pitch, angles.roll), image.cam_from_world.rotation))
     };
     let pairs: Vec<_> = registered(background, frames).into_iter().filter_map(pair).collect();
     metric::orientation(&pairs)

@@ -39,8 +39,7 @@ const TAKEOFF_STD_M: f64 = 2.0;
 /// Inputs of the ground below a camera that does not translate.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let options = &run.options.metric;
-    let logs: Vec<Option<String>> =
-        telemetry::files(run).iter().map(|file| fingerprint::of_content(file).ok()).collect();
+    let logs = telemetry::fingerprints(run);
     let points = options.map_points.as_deref().map(fingerprint::of_content).transpose()?;
     Ok(json!({
         "pitch": options.camera_pitch,

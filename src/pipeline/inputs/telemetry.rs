@@ -7,6 +7,7 @@ use nalgebra::Point3;
 
 use crate::memory::MemoryLimit;
 use crate::pipeline::TelemetryChoice;
+use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{Frame, Topic};
 use crate::telemetry::{self, Log, Range, TelemetryError};
@@ -57,6 +58,12 @@ pub(in crate::pipeline) fn files(run: &Run) -> Vec<PathBuf> {
         TelemetryChoice::Auto if run.info().kind == Kind::Video => beside(run.input()),
         TelemetryChoice::Auto => Vec::new(),
     }
+}
+
+/// Hashes of these files; `None` for one that cannot be read: next to a video it is no telemetry, and what was named has
+/// been read before.
+pub(in crate::pipeline) fn fingerprints(run: &Run) -> Vec<Option<String>> {
+    files(run).iter().map(|file| fingerprint::of_content(file).ok()).collect()
 }
 
 /// The files next to a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].

@@ -11,9 +11,9 @@ use super::{ground, objects, scale, track};
 use crate::eval::Evaluation;
 use crate::io::{ExportFolder, IoError, json};
 use crate::math::rounding::with_std;
-use crate::pipeline::driver::reopen::check_input;
+use crate::pipeline::driver::intermediate;
+use crate::pipeline::driver::reopen::{InputJson, check_input};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::cameras::CameraOrigin;
 use crate::pipeline::options::options_from_json;
@@ -57,11 +57,6 @@ struct RunJson {
     input: InputJson,
     #[serde(deserialize_with = "options_from_json")]
     options: Options,
-}
-
-#[derive(Deserialize)]
-struct InputJson {
-    path: PathBuf,
 }
 
 /// Writes the page of `tractrix sfm`, the points of the background and its frame on the map: models are its result.
@@ -129,11 +124,7 @@ fn without_folders(text: &str) -> String {
 /// Files next to the page of `tractrix sfm`.
 fn model_parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Vec<Part> {
     let folder = &run.workspace;
-    let part = |object: Option<ObjectId>, path: PathBuf, holds: &str| Part {
-        object,
-        path: link(folder.root(), &path),
-        holds: holds.into(),
-    };
+    let part = |object, path: PathBuf, holds: &str| part(run, object, &path, holds);
     let background = [
         part(None, folder.background(), "cameras and points of the background, as a COLMAP model"),
         part(None, folder.background_points(), "background points, for viewing"),
@@ -235,14 +226,14 @@ fn evaluation(run: &Run) -> Result<Option<Evaluation>, PipelineError> {
     Ok(if path.exists() { Some(json::read(&path)?) } else { None })
 }
 
+fn part(run: &Run, object: Option<ObjectId>, path: &Path, holds: &str) -> Part {
+    Part { object, path: link(run.workspace.root(), path), holds: holds.into() }
+}
+
 /// Files next to the page.
 fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Trajectories) -> Vec<Part> {
     let folder = &run.workspace;
-    let part = |object: Option<ObjectId>, path: PathBuf, holds: &str| Part {
-        object,
-        path: link(folder.root(), &path),
-        holds: holds.into(),
-    };
+    let part = |object, path: PathBuf, holds: &str| part(run, object, &path, holds);
     let whole = |path: PathBuf, holds: &str| part(None, path, holds);
     let mut parts = vec![
         whole(folder.trajectories(), "trajectories, frame by frame"),
@@ -318,12 +309,11 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
 /// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is made again after an
 /// evaluation or an export.
 fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures, PipelineError> {
-    let fingerprint = run.fingerprint(Stage::Track);
-    let kept = run.workspace.state(&fingerprint::folder_name(PICTURES_PREFIX, fingerprint)).join(PICTURES);
+    let kept = run.folder(PICTURES_PREFIX, Stage::Track).join(PICTURES);
     if kept.is_file() {
         return intermediate::read(&kept);
     }
-    let folder = run.workspace.intermediate(PICTURES_PREFIX, fingerprint)?;
+    let folder = run.workspace.intermediate(PICTURES_PREFIX, run.fingerprint(Stage::Track))?;
     let ids: Vec<_> = run.frames()?.iter().map(|frame| frame.id).collect();
     let film = folder.join(FILM);
     let mut maker = PictureMaker::new(&ids, &film);

@@ -39,7 +39,7 @@ fn given_positions(run: &Run) -> Result<Vec<Option<String>>, PipelineError> {
     if order::found(run)?.in_time {
         return Ok(Vec::new());
     }
-    Ok(telemetry::files(run).iter().map(|file| fingerprint::of_content(file).ok()).collect())
+    Ok(telemetry::fingerprints(run))
 }
 
 /// The masks that are given, which no stage before this one reads.
@@ -127,11 +127,7 @@ impl TrackStore {
 
     /// Of a stage that is done.
     pub(in crate::pipeline) fn done(run: &Run, prefix: &str, stage: Stage) -> Self {
-        Self {
-            folder: run
-                .workspace
-                .state(&crate::pipeline::driver::fingerprint::folder_name(prefix, run.fingerprint(stage))),
-        }
+        Self { folder: run.folder(prefix, stage) }
     }
 
     pub(in crate::pipeline) fn write(&self, target: &str, table: &TrackTable) -> Result<(), PipelineError> {

@@ -40,12 +40,9 @@ pub(in crate::pipeline) use vehicles::Size;
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
     let MetricOptions { telemetry, time_offset, utc_offset, camera_height, map_points, scale, known_lengths, .. } =
         &run.options.metric;
-    let files = log::files(run);
-    // What cannot be read next to a video is no telemetry; what was named has been read before.
-    let contents: Vec<Option<String>> = files.iter().map(|file| fingerprint::of_content(file).ok()).collect();
     let is_looked_for = *telemetry != TelemetryChoice::None;
     json!({
-        "telemetry": { "is_looked_for": is_looked_for, "files": contents },
+        "telemetry": { "is_looked_for": is_looked_for, "files": log::fingerprints(run) },
         "time_offset": time_offset,
         "utc_offset": utc_offset,
         "camera_height": camera_height,

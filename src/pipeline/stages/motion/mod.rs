@@ -22,8 +22,8 @@ use crate::motion::{
     DifferenceDetector, GroundModel, MovingObject, PointTrack, Surroundings, TrackLabel, View, classify, movers,
 };
 use crate::networks::PerceptionError;
+use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::images;
 use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};
 use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
@@ -184,7 +184,7 @@ fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Resul
 }
 
 pub(in crate::pipeline) fn folder(run: &Run) -> PathBuf {
-    run.workspace.state(&fingerprint::folder_name(PREFIX, run.fingerprint(Stage::Motion)))
+    run.folder(PREFIX, Stage::Motion)
 }
 
 /// The boxes of what moves; the stage must be done.

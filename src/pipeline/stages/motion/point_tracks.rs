@@ -13,8 +13,8 @@ use serde::{Deserialize, Serialize};
 use crate::image::{RgbImage, gray_from_rgb};
 use crate::motion::{PointFollower, PointTrack};
 use crate::networks::PerceptionError;
+use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{images, order};
 use crate::pipeline::{Instances, PipelineError, Stage};
 use crate::scene::{Frame, FrameId};
@@ -91,6 +91,5 @@ pub(in crate::pipeline) fn kept_points(run: &Run, folder: &Path) -> Result<Follo
 }
 
 fn beside_features(run: &Run) -> PathBuf {
-    let folder = fingerprint::folder_name(FEATURES_PREFIX, run.fingerprint(Stage::Features));
-    run.workspace.state(&folder).join(FILE_NAME)
+    run.folder(FEATURES_PREFIX, Stage::Features).join(FILE_NAME)
 }

@@ -2,10 +2,9 @@
 //!
 //! The stage that knows the points says it of every box, so that the tracker need not hold them.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::motion::{PointTrack, TrackLabel, shows_standing};
+use crate::motion::{PointTrack, TrackLabel, alive, shows_standing};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::Run;
@@ -41,14 +40,7 @@ pub(in crate::pipeline) fn write(
     let path = motion_folder.join(FOLDER);
     std::fs::create_dir_all(&path).map_err(crate::io::IoError::system("create", &path))?;
     let (detected, known) = (segment::finished_boxes(run), known(motion_folder));
-    let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-    for (k, track) in tracks.iter().enumerate() {
-        starting.entry(track.first).or_default().push(k);
-    }
-    let mut live: Vec<usize> = Vec::new();
-    for (index, frame) in (0u32..).zip(frames) {
-        live.extend(starting.remove(&index).into_iter().flatten());
-        live.retain(|&k| tracks[k].end() > index);
+    for ((index, frame), live) in (0u32..).zip(frames).zip(alive(tracks)) {
         let boxes = detected.read(frame.id)?;
         if boxes.is_empty() {
             continue;

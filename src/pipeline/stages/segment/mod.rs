@@ -11,7 +11,6 @@ use serde_json::{Value, json};
 
 use crate::image::RgbImage;
 use crate::networks::{PerceptionError, Segmenter, load_segmenter};
-use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::{Networks, of_networks};
@@ -53,12 +52,12 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
 
 /// The masks that the user's network found; the stage must be done.
 pub(in crate::pipeline) fn finished(run: &Run) -> DetectionFolder {
-    masks_in(run, run.workspace.state(&fingerprint::folder_name(MASKS, run.fingerprint(Stage::Segment))))
+    masks_in(run, run.folder(MASKS, Stage::Segment))
 }
 
 /// The boxes that the detector found; the stage must be done.
 pub(in crate::pipeline) fn finished_boxes(run: &Run) -> BoxFolder {
-    FrameFolder::new(run.workspace.state(&fingerprint::folder_name(BOXES, run.fingerprint(Stage::Segment))))
+    FrameFolder::new(run.folder(BOXES, Stage::Segment))
 }
 
 fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {

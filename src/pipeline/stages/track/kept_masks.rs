@@ -5,7 +5,6 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::intermediate::damaged;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::segment::detections::{FrameFolder, mask_of_runs, runs_of_mask};
@@ -35,7 +34,7 @@ impl KeptMasks {
 
     /// Those of the stage, which must be done.
     pub(super) fn done(run: &Run) -> Self {
-        Self::new(run, run.workspace.state(&fingerprint::folder_name(PREFIX, run.fingerprint(Stage::Track))))
+        Self::new(run, run.folder(PREFIX, Stage::Track))
     }
 
     /// Keeps the masks of the stage's folder, each image of which is decoded once; gives their own folder, too.

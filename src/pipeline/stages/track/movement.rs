@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::kept_masks::KeptMasks;
 use crate::math::rounding::with_std;
 use crate::motion::{
-    CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, judge_pieces, without_sway,
+    CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, alive, judge_pieces, without_sway,
 };
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::Run;
@@ -171,15 +171,8 @@ fn on_objects(
     let seen: Vec<Frame> = points.frames.iter().filter_map(|id| Some((*names.get(id)?).clone())).collect();
     // Without every frame's name the world's frames are not those that tracks count.
     let world = if seen.len() == points.frames.len() { motion::world(run, &seen)? } else { None };
-    let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
-    for (k, track) in points.tracks.iter().enumerate() {
-        starting.entry(track.first).or_default().push(k);
-    }
-    let mut live: Vec<usize> = Vec::new();
     let mut found: BTreeMap<ObjectId, OnObject> = BTreeMap::new();
-    for (index, id) in (0u32..).zip(&points.frames) {
-        live.extend(starting.remove(&index).into_iter().flatten());
-        live.retain(|&k| points.tracks[k].end() > index);
+    for ((index, id), live) in (0u32..).zip(&points.frames).zip(alive(&points.tracks)) {
         let Some(frame) = names.get(id) else { continue };
         for (object, mask) in masks.read(objects, frame)? {
             let on_it = found.entry(object).or_default();
