@@ -30,7 +30,7 @@ pub trait FlowEstimator {
     fn flow(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError>;
 }
 
-/// Longer side at which a flow network takes frames, pixels; larger ones are shrunk, and the flow is given at full size.
+/// Longer side at which a flow network takes frames, pixels; larger ones are shrunk. The flow is given at full size.
 const MAX_DIMENSION: u32 = 960;
 /// Share α of the squared lengths of both flows that the way there and back may miss by.
 const CONSISTENCY_RELATIVE: f32 = 0.01;

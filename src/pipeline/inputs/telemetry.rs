@@ -60,7 +60,7 @@ pub(in crate::pipeline) fn files(run: &Run) -> Vec<PathBuf> {
     }
 }
 
-/// Hashes of these files; `None` for one that cannot be read: next to a video it is no telemetry, and what was named has
+/// Hashes of these files; `None` for one that cannot be read: next to a video it is no telemetry, and a named one has
 /// been read before.
 pub(in crate::pipeline) fn fingerprints(run: &Run) -> Vec<Option<String>> {
     files(run).iter().map(|file| fingerprint::of_content(file).ok()).collect()
