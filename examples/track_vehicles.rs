@@ -90,8 +90,14 @@ fn print_times(times: &Times) {
 
 fn print_track(t: &TrackSummary) {
     println!(
-        "{:>3} {:<6} {:.2} frames {}-{}: {} detected, {} carried, {:.0} px",
-        t.id, t.class, t.confidence, t.first.0, t.last.0, t.num_detected, t.num_carried, t.mean_area_px2
+        "{:>3} {:<6} {:.2} frames {}-{}: {} detected, {} carried",
+        t.id,
+        t.class,
+        t.confidence,
+        t.first.0,
+        t.last.0,
+        t.found.detected(),
+        t.num_carried
     );
 }
 

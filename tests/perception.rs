@@ -113,7 +113,7 @@ fn a_dashcam_shows_vehicles_and_road() {
     let clip = in_data("videos/dashcam_udacity_test_video.mp4");
     let outcome = follow(&clip, 4);
     assert!(outcome.tracks.len() >= 2, "{:?}", outcome.tracks);
-    assert!(outcome.tracks.iter().all(|t| t.num_detected >= 3));
+    assert!(outcome.tracks.iter().all(|t| t.found.detected() >= 3));
     let (_, image) = frames(&clip).next().unwrap();
     for model in ["espnet_cityscapes_1024x512.onnx", "twinlitenet_bdd100k_640x360.onnx"] {
         let path = in_data("models").join(model);

@@ -81,9 +81,15 @@ impl Mask {
     }
 
     /// The pixels at which `inside(x, y)` holds.
-    pub fn from_fn(width: u32, height: u32, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
-        let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| inside(x, y)).collect();
-        Self { width, height, window: BoundingBox { x0: 0, y0: 0, x1: width, y1: height }, pixels }
+    pub fn from_fn(width: u32, height: u32, inside: impl FnMut(u32, u32) -> bool) -> Self {
+        Self::in_window((width, height), BoundingBox { x0: 0, y0: 0, x1: width, y1: height }, inside)
+    }
+
+    /// The pixels of a window, which must lie in the frame, at which `inside(x, y)` holds.
+    pub fn in_window(frame: (u32, u32), window: BoundingBox, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
+        let BoundingBox { x0, y0, x1, y1 } = window;
+        let pixels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y))).map(|(x, y)| inside(x, y)).collect();
+        Self::from_window(frame, window, pixels)
     }
 
     /// The pixels of a window.

@@ -31,6 +31,11 @@ impl DetectionCounts {
         self.detector + self.both
     }
 
+    /// Frames in which it was found, by whatever.
+    pub fn detected(&self) -> usize {
+        self.by_detector() + self.motion
+    }
+
     /// The frames of both.
     pub fn plus(&self, other: &Self) -> Self {
         Self {

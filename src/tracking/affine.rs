@@ -97,13 +97,13 @@ impl Affine {
     }
 
     /// The pixels whose centres come from a region; `None` if none lies in the frame.
-    pub(super) fn apply(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
-        moved(region, (width, height), |corner| self.at(corner), |centre| self.source(centre[0], centre[1]))
+    pub(super) fn apply(&self, region: &Region) -> Option<Region> {
+        moved(region, |corner| self.at(corner), |centre| self.source(centre[0], centre[1]))
     }
 
     /// The pixels whose centres go to a region; `None` if none lies in the frame.
-    pub(super) fn pulled(&self, region: &Region, width: u32, height: u32) -> Option<Region> {
-        moved(region, (width, height), |corner| self.source(corner[0], corner[1]), |centre| self.at(centre))
+    pub(super) fn pulled(&self, region: &Region) -> Option<Region> {
+        moved(region, |corner| self.source(corner[0], corner[1]), |centre| self.at(centre))
     }
 
     /// Where a target position comes from.
@@ -119,12 +119,8 @@ impl Affine {
 ///
 /// * `there` – where a position of the region goes.
 /// * `back` – where a position comes from.
-fn moved(
-    region: &Region,
-    (width, height): (u32, u32),
-    there: impl Fn([f64; 2]) -> [f64; 2],
-    back: impl Fn([f64; 2]) -> [f64; 2],
-) -> Option<Region> {
+fn moved(region: &Region, there: impl Fn([f64; 2]) -> [f64; 2], back: impl Fn([f64; 2]) -> [f64; 2]) -> Option<Region> {
+    let frame @ (width, height) = (region.mask().width(), region.mask().height());
     let Rect { x0, y0, x1, y1 } = region.rect();
     let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(there);
     let least = |c: usize| corners.iter().map(|p| p[c]).fold(f64::INFINITY, f64::min).floor().max(0.0) as u32;
@@ -133,10 +129,8 @@ fn moved(
     if bounds.x0 >= bounds.x1 || bounds.y0 >= bounds.y1 {
         return None;
     }
-    let from_region = |(x, y): (u32, u32)| {
+    Region::in_window(frame, bounds, |x, y| {
         let [u, v] = back([f64::from(x) + 0.5, f64::from(y) + 0.5]);
         u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
-    };
-    let targets = (bounds.y0..bounds.y1).flat_map(|y| (bounds.x0..bounds.x1).map(move |x| (x, y)));
-    Region::from_pixels(bounds, targets.map(from_region).collect())
+    })
 }

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 use super::appearance::Appearance;
 use super::boxes::FrameView;
 use super::region::Region;
-use super::track::{Moment, Presence, Track, leaves};
+use super::track::{Moment, Presence, Track};
 use super::tracker::{TrackObservation, Tracker};
 use super::{Correction, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::{BoxSegmenter, PerceptionError};
@@ -223,7 +223,5 @@ fn who_is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> O
 
 /// Returns true if a lost object was at the image border.
 fn leaves_at_rim(track: &Track, width: u32, height: u32) -> bool {
-    let b = track.region.bounds();
-    let at_rim = b.touches_border(width, height);
-    matches!(track.presence, Presence::Lost(_)) && (at_rim || leaves(b, [0.0; 2], width, height))
+    matches!(track.presence, Presence::Lost(_)) && track.region.bounds().touches_border(width, height)
 }

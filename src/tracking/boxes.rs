@@ -129,7 +129,7 @@ impl Tracker {
         let without_flow: Vec<usize> = (0..self.tracks.len()).filter(lost_just_now).collect();
         for k in without_flow {
             let track = &self.tracks[k];
-            if let Some(carried) = carried_by_box(track, &predictions[k], &sights, view.image.dimensions()) {
+            if let Some(carried) = carried_by_box(track, &predictions[k], &sights) {
                 predictions[k].carried = Some(carried);
                 is_carried[k] = self.is_trusted(track, &predictions[k], view.image);
             }
@@ -389,20 +389,15 @@ fn note(track: &mut Track, sight: Option<&BoxGroup>, is_new: IsNew, now: Moment)
 
 /// The mask of an object in which flow is of no use, as of a dark car of 15 pixels, carried with the box that shows the
 /// object; `None` where no box does.
-fn carried_by_box(
-    track: &Track,
-    prediction: &Prediction,
-    sights: &[BoxGroup],
-    (width, height): (u32, u32),
-) -> Option<Propagated> {
+fn carried_by_box(track: &Track, prediction: &Prediction, sights: &[BoxGroup]) -> Option<Propagated> {
     let place = prediction.moved.as_ref()?.rect();
     let overlaps = sights.iter().map(|sight| (sight.rect.iou(&place), sight));
     let (_, sight) = overlaps.filter(|(iou, _)| *iou >= MIN_BOX_OVERLAP).max_by(|a, b| a.0.total_cmp(&b.0))?;
     let displacement = track.displacement_to(&sight.rect)?;
     let (region, whole) = (&track.region, &track.whole);
     Some(Propagated {
-        region: region.moved(displacement, width, height)?,
-        whole: whole.moved(displacement, width, height)?,
+        region: region.moved(displacement)?,
+        whole: whole.moved(displacement)?,
         cover: Cover::default(),
         displacement,
         share: 1.0,

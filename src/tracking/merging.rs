@@ -225,7 +225,7 @@ impl TrackSummary {
         let mean = |a: (f64, usize), b: (f64, usize)| (a.0 * a.1 as f64 + b.0 * b.1 as f64) / (a.1 + b.1).max(1) as f64;
         let named = |track: &Self| track.found.by_detector();
         let votes = |track: &Self| track.class_confidence * named(track) as f64;
-        let masks = |track: &Self| track.num_detected + track.num_carried;
+        let masks = |track: &Self| track.found.detected() + track.num_carried;
         let quality = match (self.mask_quality, later.mask_quality) {
             (Some(a), Some(b)) => Some(mean((a, masks(self)), (b, masks(later)))),
             (a, b) => a.or(b),
@@ -234,12 +234,10 @@ impl TrackSummary {
             id: self.id,
             provisional: self.provisional,
             class: if votes(later) > votes(self) { &later.class } else { &self.class }.clone(),
-            confidence: mean((self.confidence, self.num_detected), (later.confidence, later.num_detected)),
+            confidence: mean((self.confidence, self.found.detected()), (later.confidence, later.found.detected())),
             first: self.first,
             last: later.last,
-            num_detected: self.num_detected + later.num_detected,
             num_carried: self.num_carried + later.num_carried,
-            mean_area_px2: mean((self.mean_area_px2, self.num_detected), (later.mean_area_px2, later.num_detected)),
             found: self.found.plus(&later.found),
             num_looks: self.num_looks + later.num_looks,
             num_detector_looks: self.num_detector_looks + later.num_detector_looks,

@@ -184,12 +184,8 @@ pub struct TrackSummary {
     /// The last frame in which it was detected, or in which its mask was renewed or not yet due. Masks carried beyond
     /// it are guesses without confirmation: drop them.
     pub last: FrameId,
-    /// Frames with a detection, by whatever.
-    pub num_detected: usize,
     /// Frames between `first` and `last` with a carried mask.
     pub num_carried: usize,
-    /// Mean number of pixels of its detected masks.
-    pub mean_area_px2: f64,
     /// Sources of its detections.
     pub found: DetectionCounts,
     /// Frames of its life that somebody looked at.

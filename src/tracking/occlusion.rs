@@ -72,13 +72,14 @@ impl Cover {
         let marks = marks.dilated(1).eroded(1);
         let radius = (MIN_RADIUS * object.whole.size()).clamp(MIN_RADIUS_PX.0, MIN_RADIUS_PX.1) as u32;
         let sure = marks.eroded(radius).dilated(radius + 1);
-        let own = BoundingBox { x0: 0, y0: 0, x1: bounds.width(), y1: bounds.height() };
-        let within = |mask: &Mask| Region::from_pixels(bounds, mask.pixels_in(own));
-        let on_it = |region: Region| region.filtered(|x, y| object.whole.contains(x, y));
+        let on_it = |mask: &Mask| {
+            let is_set = |x: u32, y: u32| mask.get(i64::from(x - bounds.x0), i64::from(y - bounds.y0));
+            object.whole.filtered(is_set)
+        };
         let least = MIN_SHARE * object.whole.area() as f64;
-        let region = within(&sure).and_then(on_it).filter(|cover| cover.area() as f64 >= least);
+        let region = on_it(&sure).filter(|cover| cover.area() as f64 >= least);
         let is_new = |x: u32, y: u32| region.as_ref().is_none_or(|sure| !sure.contains(x, y));
-        let suspect = within(&marks).and_then(on_it).and_then(|marks| marks.filtered(is_new));
+        let suspect = on_it(&marks).and_then(|marks| marks.filtered(is_new));
         Self { region, suspect }
     }
 

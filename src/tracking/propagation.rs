@@ -95,8 +95,8 @@ pub(super) fn carry_whole(
     let moving = moving(object.region, flow)?;
     let displacement = moving.displacement;
     let motion = Affine::fit(&moving.pixels, flow).unwrap_or_else(|| Affine::shift(displacement));
-    let carried = motion.apply(object.region, flow.width, flow.height)?;
-    let whole = motion.apply(object.whole, flow.width, flow.height).unwrap_or_else(|| carried.clone());
+    let carried = motion.apply(object.region)?;
+    let whole = motion.apply(object.whole).unwrap_or_else(|| carried.clone());
     let moved = Moved { before: object.region, visible: &carried, whole: &whole, motion: &motion };
     let cover = pictures.map(|pictures| object.cover.advance(&moved, flow, pictures)).unwrap_or_default();
     let region = cover.cut(&carried)?;
@@ -201,19 +201,19 @@ mod tests {
             assert!((one[0] - two[0]).abs() < 1e-9 && (one[1] - two[1]).abs() < 1e-9, "{one:?} {two:?}");
         }
         let region = block(20, 10, 20, 12);
-        let there = both.apply(&region, 60, 40).unwrap();
+        let there = both.apply(&region).unwrap();
         assert!(there.iou(&region) < 0.9);
-        assert!(both.pulled(&there, 60, 40).unwrap().iou(&region) > 0.9);
-        assert_eq!(Affine::shift([5.0, -2.0]).pulled(&block(15, 8, 9, 9), 60, 40), Some(block(10, 10, 9, 9)));
+        assert!(both.pulled(&there).unwrap().iou(&region) > 0.9);
+        assert_eq!(Affine::shift([5.0, -2.0]).pulled(&block(15, 8, 9, 9)), Some(block(10, 10, 9, 9)));
     }
 
     #[test]
     fn the_background_is_what_no_object_occupies() {
         let object = block(20, 10, 12, 12);
         let field = flow(60, 40, |x, y| Some(if object.contains(x, y) { [9.0, 9.0] } else { [1.0, 2.0] }));
-        let occupied = object.to_mask(60, 40);
-        assert_eq!(background_displacement(&field, object.bounds(), &occupied), Some([1.0, 2.0]));
+        let occupied = object.mask();
+        assert_eq!(background_displacement(&field, object.bounds(), occupied), Some([1.0, 2.0]));
         let nothing = flow(60, 40, |_, _| None);
-        assert_eq!(background_displacement(&nothing, object.bounds(), &occupied), None);
+        assert_eq!(background_displacement(&nothing, object.bounds(), occupied), None);
     }
 }

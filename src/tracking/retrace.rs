@@ -85,7 +85,7 @@ impl Way {
             if step.is_hidden {
                 break;
             }
-            let region = motion.pulled(new, size.0, size.1);
+            let region = motion.pulled(new);
             let Some(region) = region.filter(|region| agreement(region, &step.region) >= AGREEMENT) else { break };
             found.push((step.frame, region));
             motion = step.motion.then(&motion);
@@ -118,18 +118,12 @@ impl Reported {
 
     /// Puts a better mask in the place of one that was reported, without the pixels of other objects; `None` if there
     /// was none or nothing is left.
-    pub(super) fn correct(
-        &mut self,
-        frame: FrameId,
-        object: ObjectId,
-        region: &Region,
-        (width, height): (u32, u32),
-    ) -> Option<Correction> {
+    pub(super) fn correct(&mut self, frame: FrameId, object: ObjectId, region: &Region) -> Option<Correction> {
         let (_, masks) = self.0.iter_mut().find(|(reported, _)| *reported == frame)?;
         let own = masks.iter().position(|(id, _)| *id == object)?;
         let others: Vec<&Region> = masks.iter().filter(|(id, _)| *id != object).map(|(_, other)| other).collect();
         let region = region.filtered(|x, y| others.iter().all(|other| !other.contains(x, y)))?;
-        let mask = region.to_mask(width, height);
+        let mask = region.mask().clone();
         masks[own].1 = region;
         Some(Correction { frame, object, mask })
     }
@@ -205,9 +199,9 @@ mod tests {
         let mut reported = Reported::default();
         let (own, other) = (ObjectId(1), ObjectId(2));
         reported.remember(FrameId(7), vec![(own, block(5, 5, 6, 10)), (other, block(12, 5, 10, 10))]);
-        let found = reported.correct(FrameId(7), own, &block(5, 5, 10, 10), SIZE).unwrap();
-        assert_eq!(found.mask, block(5, 5, 7, 10).to_mask(60, 40));
-        assert_eq!(reported.correct(FrameId(7), ObjectId(3), &block(5, 5, 9, 9), SIZE), None);
-        assert_eq!(reported.correct(FrameId(6), own, &block(5, 5, 9, 9), SIZE), None);
+        let found = reported.correct(FrameId(7), own, &block(5, 5, 10, 10)).unwrap();
+        assert_eq!(found.mask, block(5, 5, 7, 10).mask().clone());
+        assert_eq!(reported.correct(FrameId(7), ObjectId(3), &block(5, 5, 9, 9)), None);
+        assert_eq!(reported.correct(FrameId(6), own, &block(5, 5, 9, 9)), None);
     }
 }

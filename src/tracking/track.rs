@@ -13,7 +13,7 @@ use super::retrace::Way;
 use super::support::MIN_FRAMES;
 use super::track_statistics::Ledger;
 use super::{BoxSource, ConfirmedObject, MIN_SIMILARITY, Predecessor, TrackSummary, TrackerOptions};
-use crate::scene::{BoundingBox, FrameId, Gap, IdentityEvidence, ObjectId, Outline, Rect};
+use crate::scene::{FrameId, Gap, IdentityEvidence, ObjectId, Outline, Rect};
 
 /// Share of the way that velocity and looks move towards each new measurement.
 const LEARNING_RATE: f64 = 0.4;
@@ -101,7 +101,6 @@ pub(super) struct Track {
     first: FrameId,
     class_votes: BTreeMap<String, f64>,
     sum_confidence: f64,
-    num_detected: usize,
     num_carried: usize,
     /// Carried frames since the last detection, which count once there is another detection.
     carried_since: usize,
@@ -188,7 +187,6 @@ impl Track {
             first: now.frame,
             class_votes: BTreeMap::new(),
             sum_confidence: 0.0,
-            num_detected: 0,
             num_carried: 0,
             carried_since: 0,
             num_failed: 0,
@@ -218,7 +216,6 @@ impl Track {
         for finding in sight.findings() {
             *self.class_votes.entry(finding.class.clone()).or_default() += finding.detector.unwrap_or(0.0);
             self.sum_confidence += finding.confidence();
-            self.num_detected += 1;
             self.ledger.note(finding);
         }
         self.last_boxed = now.count;
@@ -315,7 +312,7 @@ impl Track {
     pub(super) fn is_at_rest(&self, now: Moment, options: &TrackerOptions) -> bool {
         let found = &self.ledger.found;
         let stands = self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size;
-        let is_seen_to_move = 100 * (found.motion + found.both) > MOVING_PERCENT * self.num_detected;
+        let is_seen_to_move = 100 * (found.motion + found.both) > MOVING_PERCENT * self.ledger.found.detected();
         let is_known = self.id.is_some() && self.num_failed == 0 && self.ledger.num_masks() >= MIN_MASKS_AT_REST;
         is_known && stands && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
     }
@@ -361,7 +358,7 @@ impl Track {
         }
         for c in 0..2 {
             let measured = (displacement[c] - background[c]) / elapsed_s;
-            let rate = if self.num_detected < 2 { 1.0 } else { LEARNING_RATE };
+            let rate = if self.ledger.found.detected() < 2 { 1.0 } else { LEARNING_RATE };
             self.velocity[c] += rate * (measured - self.velocity[c]);
         }
     }
@@ -374,7 +371,7 @@ impl Track {
     /// Returns true if enough detections confirm the track. Boxes need not be close together in time: the masks between
     /// them, each propagated from the one before, tie them together.
     pub(super) fn earns_id(&self, options: &TrackerOptions) -> bool {
-        self.id.is_none() && self.num_detected >= options.min_detections
+        self.id.is_none() && self.ledger.found.detected() >= options.min_detections
     }
 
     /// Returns true if the track ends: a tentative one that was not confirmed in time, a lost one that did not return.
@@ -397,8 +394,8 @@ impl Track {
         let lost_s = (now.time_s - self.last_detected.time_s).max(0.0);
         // Uncertain by one length at once and one more for every second.
         let reach = self.size.max(region.size()) * (1.0 + lost_s);
-        let [dx, dy] = difference(region.centre(), self.region.centre());
-        let nearness = 1.0 - dx.hypot(dy) / reach;
+        let ([x, y], [own_x, own_y]) = (region.rect().center(), self.region.rect().center());
+        let nearness = 1.0 - (x - own_x).hypot(y - own_y) / reach;
         let ratio = region.area() as f64 / self.ledger.mean_area().max(1.0);
         let fits = similarity >= MIN_SIMILARITY && nearness > 0.0 && is_same_size(ratio);
         let evidence = IdentityEvidence {
@@ -467,7 +464,7 @@ impl Track {
 
     /// Rank of the track: confirmed ones first, then by number of boxes.
     pub(super) fn rank(&self) -> (bool, usize) {
-        (self.id.is_some(), self.num_detected)
+        (self.id.is_some(), self.ledger.found.detected())
     }
 
     /// Returns true if a box may show this object by its class. Motion has no class, and a detector that classified the
@@ -485,7 +482,7 @@ impl Track {
 
     /// The object of a confirmed track; `None` for any other.
     pub(super) fn confirmed(&self) -> Option<ConfirmedObject<'_>> {
-        let confidence = self.sum_confidence / self.num_detected as f64;
+        let confidence = self.sum_confidence / self.ledger.found.detected() as f64;
         let (id, provisional, class) = (self.id?, self.provisional, self.class());
         Some(ConfirmedObject { id, provisional, class, confidence, after: self.after })
     }
@@ -496,12 +493,10 @@ impl Track {
             id: self.id?,
             provisional: self.provisional,
             class: self.class().to_owned(),
-            confidence: self.sum_confidence / self.num_detected as f64,
+            confidence: self.sum_confidence / self.ledger.found.detected() as f64,
             first: self.first,
             last: self.last_detected.frame,
-            num_detected: self.num_detected,
             num_carried: self.num_carried,
-            mean_area_px2: self.ledger.mean_area(),
             found: self.ledger.found,
             num_looks: self.ledger.num_looks(),
             num_detector_looks: self.ledger.num_detector_looks(),
@@ -530,15 +525,4 @@ const TWO_WHEELERS: [&str; 6] = ["motorcycle", "motor", "motorbike", "bicycle", 
 /// another, and motorcycles with bicycles, but not one group with the other.
 pub(super) fn compatible(a: &str, b: &str) -> bool {
     TWO_WHEELERS.contains(&a) == TWO_WHEELERS.contains(&b)
-}
-
-fn difference(a: [f64; 2], b: [f64; 2]) -> [f64; 2] {
-    [a[0] - b[0], a[1] - b[1]]
-}
-
-/// Returns true if a box moved by a displacement has its center outside the frame: the object is leaving.
-pub(super) fn leaves(bounds: BoundingBox, displacement: [f64; 2], width: u32, height: u32) -> bool {
-    let x = f64::from(bounds.x0 + bounds.x1) / 2.0 + displacement[0];
-    let y = f64::from(bounds.y0 + bounds.y1) / 2.0 + displacement[1];
-    x < 0.0 || y < 0.0 || x > f64::from(width) || y > f64::from(height)
 }

@@ -9,7 +9,7 @@ use super::occlusion::Pictures;
 use super::propagation::{PreviousObject, background_displacement, carry_whole};
 use super::region::Region;
 use super::retrace::{Correction, Reported};
-use super::track::{Moment, Prediction, Presence, Recognised, Track, leaves};
+use super::track::{Moment, Prediction, Presence, Recognised, Track};
 use super::{ConfirmedObject, Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::PerceptionError;
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
@@ -92,7 +92,7 @@ impl Tracker {
         self.tracks.iter_mut().for_each(|track| track.look(by));
         let sightings = self.follow_boxes(&view, found, prompter)?;
         let masks = self.report(sightings, frame.id, Vec::new(), image.dimensions());
-        self.settle(now, image.dimensions());
+        self.settle(now);
         self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
         self.last_picture = Some(image.clone());
         Ok(masks)
@@ -174,16 +174,14 @@ impl Tracker {
         let size = image.dimensions();
         let pictures = self.last_picture.as_ref().map(|before| Pictures { before, now: image });
         let mut occupied = Mask::empty(size.0, size.1);
-        for (x, y) in self.tracks.iter().flat_map(|track| track.region.iter()) {
-            occupied.set(x, y);
-        }
+        self.tracks.iter().for_each(|track| occupied.union_with(track.region.mask()));
         let predict_one = |track: &Track| {
             let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));
             let background = background.unwrap_or_default();
             let is_seen = !matches!(track.presence, Presence::Lost(_));
             let seen = PreviousObject { region: &track.region, whole: &track.whole, cover: &track.cover };
             let carried = flow.filter(|_| is_seen).and_then(|flow| carry_whole(&seen, flow, pictures));
-            let moved = track.whole.moved(track.expected(background, elapsed_s), size.0, size.1);
+            let moved = track.whole.moved(track.expected(background, elapsed_s));
             Prediction { carried, moved, background }
         };
         self.tracks.iter().map(predict_one).collect()
@@ -236,7 +234,7 @@ impl Tracker {
         for sighting in sightings {
             let free = |x: u32, y: u32| !taken.get(i64::from(x), i64::from(y));
             let Some(region) = sighting.region.filtered(free) else { continue };
-            let mask = region.to_mask(width, height);
+            let mask = region.mask().clone();
             taken.union_with(&mask);
             let object = self.tracks[sighting.track_idx].provisional;
             reported.push((object, region));
@@ -245,13 +243,13 @@ impl Tracker {
         masks.sort_by_key(|m| m.object);
         self.reported.remember(frame, reported);
         for (frame, object, region) in std::mem::take(&mut self.retraced) {
-            self.corrections.extend(self.reported.correct(frame, object, &region, (width, height)));
+            self.corrections.extend(self.reported.correct(frame, object, &region));
         }
         masks
     }
 
     /// Gives lasting ids and ends what is over.
-    fn settle(&mut self, now: Moment, (width, height): (u32, u32)) {
+    fn settle(&mut self, now: Moment) {
         for track in &mut self.tracks {
             if track.earns_id(&self.options) {
                 self.num_confirmed += 1;
@@ -260,9 +258,7 @@ impl Tracker {
         }
         let finished = &mut self.finished;
         self.tracks.retain(|track| {
-            let gone =
-                matches!(track.presence, Presence::Lost(_)) && leaves(track.region.bounds(), [0.0; 2], width, height);
-            let over = gone || track.is_over(now);
+            let over = track.is_over(now);
             if over {
                 finished.extend(track.summary());
             }
