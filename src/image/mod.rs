@@ -23,8 +23,7 @@ pub use self::degrade::{blurred, noisy};
 pub use self::line_segments::line_segments;
 pub use self::lucas_kanade::{LucasKanade, Pyramid, Returned, TrackedPoint};
 pub use self::opencv_mat::{
-    borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_bytes, mat_from_f32, mat_from_gray,
-    mat_from_rgb, rgb_from_bgr_mat, rgb_from_mat,
+    borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_gray, mat_from_rgb, rgb_from_mat,
 };
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, resize_rgb_quickly, scale_to_fit, warp_gray, warp_rgb};
 pub use ::image::{GrayImage, RgbImage};

@@ -4,7 +4,6 @@ use ::image::{GrayImage, RgbImage};
 use nalgebra::Matrix2x3;
 use opencv::boxed_ref::BoxedRef;
 use opencv::core::{CV_8UC1, CV_8UC3, Mat, MatTraitConst, MatTraitConstManual, Vec3b};
-use opencv::imgproc;
 
 use super::ImageError;
 
@@ -36,26 +35,6 @@ pub fn mat_from_affine(map: &Matrix2x3<f64>) -> Result<Mat, ImageError> {
     Ok(Mat::new_rows_cols_with_data::<f64>(2, 3, &rows)?.try_clone()?)
 }
 
-/// A one-channel 8-bit matrix from row-major bytes, such as those of a mask.
-///
-/// # Errors
-/// [`ImageError::BufferSize`] if there are not `width * height` bytes.
-pub fn mat_from_bytes(width: u32, height: u32, bytes: &[u8]) -> Result<Mat, ImageError> {
-    check_size(width, height, bytes.len())?;
-    let (rows, cols) = (i32::try_from(height)?, i32::try_from(width)?);
-    Ok(Mat::new_rows_cols_with_data::<u8>(rows, cols, bytes)?.try_clone()?)
-}
-
-/// A one-channel matrix of 32-bit floats from row-major values.
-///
-/// # Errors
-/// [`ImageError::BufferSize`] if there are not `width * height` values.
-pub fn mat_from_f32(width: u32, height: u32, values: &[f32]) -> Result<Mat, ImageError> {
-    check_size(width, height, values.len())?;
-    let (rows, cols) = (i32::try_from(height)?, i32::try_from(width)?);
-    Ok(Mat::new_rows_cols_with_data::<f32>(rows, cols, values)?.try_clone()?)
-}
-
 /// A grey image from a one-channel 8-bit matrix.
 ///
 /// # Errors
@@ -76,24 +55,6 @@ pub fn rgb_from_mat(mat: &impl MatTraitConst) -> Result<RgbImage, ImageError> {
     RgbImage::from_raw(width, height, bytes).ok_or(ImageError::BufferSize { width, height, channels: 3, found })
 }
 
-/// A colour image from a matrix as OpenCV's readers give it: 8-bit blue, green, red, or one channel of grey.
-///
-/// # Errors
-/// [`ImageError::PixelType`] for any other kind of matrix.
-pub fn rgb_from_bgr_mat(mat: &Mat) -> Result<RgbImage, ImageError> {
-    let code = match mat.typ() {
-        CV_8UC3 => imgproc::COLOR_BGR2RGB,
-        CV_8UC1 => imgproc::COLOR_GRAY2RGB,
-        found => return Err(ImageError::PixelType { expected: CV_8UC3, found }),
-    };
-    if mat.empty() {
-        return Ok(RgbImage::new(0, 0));
-    }
-    let mut rgb = Mat::default();
-    imgproc::cvt_color(mat, &mut rgb, code, 0)?;
-    rgb_from_mat(&rgb)
-}
-
 /// Width, height and the row-major bytes of a matrix, which may be a view into a larger one.
 fn bytes_of(mat: &impl MatTraitConst, expected: i32) -> Result<(u32, u32, Vec<u8>), ImageError> {
     let found = mat.typ();
@@ -103,14 +64,6 @@ fn bytes_of(mat: &impl MatTraitConst, expected: i32) -> Result<(u32, u32, Vec<u8
     let (width, height) = (u32::try_from(mat.cols())?, u32::try_from(mat.rows())?);
     let bytes = if mat.is_continuous() { mat.data_bytes()?.to_vec() } else { mat.try_clone()?.data_bytes()?.to_vec() };
     Ok((width, height, bytes))
-}
-
-/// Refuses a one-channel buffer of the wrong length.
-fn check_size(width: u32, height: u32, found: usize) -> Result<(), ImageError> {
-    if width as usize * height as usize == found {
-        return Ok(());
-    }
-    Err(ImageError::BufferSize { width, height, channels: 1, found })
 }
 
 #[cfg(test)]
@@ -129,9 +82,6 @@ mod tests {
         let mat = mat_from_rgb(&image).unwrap();
         assert_eq!((mat.cols(), mat.rows()), (7, 5));
         assert_eq!(rgb_from_mat(&mat).unwrap(), image);
-        let mut bgr = Mat::default();
-        imgproc::cvt_color(&mat, &mut bgr, imgproc::COLOR_RGB2BGR, 0).unwrap();
-        assert_eq!(rgb_from_bgr_mat(&bgr).unwrap(), image);
     }
 
     #[test]
@@ -144,10 +94,8 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_buffer_or_type_is_an_error() {
-        assert!(matches!(mat_from_bytes(3, 2, &[0; 5]), Err(ImageError::BufferSize { found: 5, .. })));
-        let mat = mat_from_f32(2, 1, &[0.5, 1.5]).unwrap();
+    fn a_wrong_type_is_an_error() {
+        let mat = mat_from_rgb(&gradient()).unwrap();
         assert!(matches!(gray_from_mat(&mat), Err(ImageError::PixelType { .. })));
-        assert!(matches!(rgb_from_bgr_mat(&mat), Err(ImageError::PixelType { .. })));
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use crate::ffi::onnx::{OnnxError, TensorInfo};
+use crate::ffi::onnx::{Model, OnnxError, TensorInfo};
 use crate::image::ImageError;
 use crate::scene::FrameId;
 
@@ -121,6 +121,18 @@ pub enum PerceptionError {
 }
 
 impl PerceptionError {
+    /// [`PerceptionError::UnknownLayout`] of a network.
+    pub(super) fn unknown_layout(model: &Model, task: &'static str, supported: &'static str) -> Self {
+        let (inputs, outputs) = (model.inputs().to_vec(), model.outputs().to_vec());
+        Self::UnknownLayout { path: model.path().to_owned(), task, inputs, outputs, supported }
+    }
+
+    /// [`PerceptionError::Output`] of a network; a missing output has no shape.
+    pub(super) fn output(model: &Model, found: Option<Vec<usize>>, expected: impl Into<String>) -> Self {
+        let (found, expected) = (found.unwrap_or_default(), expected.into());
+        Self::Output { path: model.path().to_owned(), found, expected }
+    }
+
     /// Returns true if what cannot be used was named by an environment variable or an option.
     pub fn is_of_choice(&self) -> bool {
         matches!(

@@ -70,15 +70,13 @@ pub fn load_ground_segmenter(
     let image_in = model.inputs().len() == 1 && model.inputs()[0].shape.len() == 4;
     match description {
         Some(description) if image_in => GroundSegmenter::new(model, description, options),
-        _ => Err(PerceptionError::UnknownLayout {
-            path: path.to_path_buf(),
-            task: "ground segmentation",
-            inputs: model.inputs().to_vec(),
-            outputs: model.outputs().to_vec(),
-            supported: "semantic networks with one image [1, 3, h, w] in and [1, classes, h, w] or class numbers [1, \
+        _ => Err(PerceptionError::unknown_layout(
+            &model,
+            "ground segmentation",
+            "semantic networks with one image [1, 3, h, w] in and [1, classes, h, w] or class numbers [1, \
                  h, w] out: ESPNet (Cityscapes), TwinLiteNet, SegFormer (Cityscapes), or any other with a description \
                  (preprocessing, classes) in a .toml file of the same name next to it; see docs/perception.md",
-        }),
+        )),
     }
 }
 
@@ -133,10 +131,9 @@ impl GroundSegmenter {
         let input = tensor_from_image(&resize_rgb(image, width, height)?, &self.preprocessing);
         let mut outputs = self.model.run(&[input])?;
         let output = outputs.swap_remove(self.output_idx);
-        let margin = ground_margin(&output, &self.is_ground).ok_or_else(|| PerceptionError::Output {
-            path: self.model.path().to_path_buf(),
-            found: output.shape.clone(),
-            expected: format!("[1, {} classes, h, w] or class numbers [1, h, w]", self.is_ground.len()),
+        let margin = ground_margin(&output, &self.is_ground).ok_or_else(|| {
+            let expected = format!("[1, {} classes, h, w] or class numbers [1, h, w]", self.is_ground.len());
+            PerceptionError::output(&self.model, Some(output.shape.clone()), expected)
         })?;
         Ok(margin.mask(frame))
     }

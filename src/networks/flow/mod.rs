@@ -15,10 +15,11 @@ use ::image::RgbImage;
 
 pub use self::dis::DisFlow;
 pub use self::network::OnnxFlow;
+use self::parts::{Part, PartFlow, nothing};
 use super::PerceptionError;
 use super::tensor::Between;
 use crate::ffi::onnx::Resources;
-use crate::scene::{Flow, Rect};
+use crate::scene::{BoundingBox, Flow, Rect};
 
 /// Estimates where the pixels of one frame lie in another.
 pub trait FlowEstimator {
@@ -105,24 +106,10 @@ fn consistent(forward: &Field, backward: &Field) -> Vec<bool> {
 }
 
 /// A flow at the frame's size from an estimate at another.
-fn at_frame_size(forward: &Field, consistent: &[bool], width: u32, height: u32) -> Flow {
-    if (forward.width, forward.height) == (width as usize, height as usize) {
-        let displacement = forward.dx.iter().zip(&forward.dy).map(|(&x, &y)| [x, y]).collect();
-        return Flow { width, height, displacement, consistent: consistent.to_vec() };
-    }
-    let (per_x, per_y) = (forward.width as f32 / width as f32, forward.height as f32 / height as f32);
-    let size = width as usize * height as usize;
-    let mut flow = Flow { width, height, displacement: Vec::with_capacity(size), consistent: Vec::with_capacity(size) };
-    for y in 0..height {
-        let v = (y as f32 + 0.5) * per_y;
-        for x in 0..width {
-            let u = (x as f32 + 0.5) * per_x;
-            let [dx, dy] = forward.sample(u, v);
-            flow.displacement.push([dx / per_x, dy / per_y]);
-            let cell = (v as usize).min(forward.height - 1) * forward.width + (u as usize).min(forward.width - 1);
-            flow.consistent.push(consistent[cell]);
-        }
-    }
+fn at_frame_size(forward: Field, consistent: Vec<bool>, size @ (width, height): (u32, u32)) -> Flow {
+    let bounds = BoundingBox { x0: 0, y0: 0, x1: width, y1: height };
+    let mut flow = nothing(size);
+    PartFlow { part: Part { bounds, shift: [0, 0] }, forward, consistent }.put(&mut flow, &bounds);
     flow
 }
 
@@ -144,7 +131,7 @@ mod tests {
 
     #[test]
     fn a_flow_grows_with_its_frame() {
-        let flow = at_frame_size(&uniform(4, 3, [1.0, -0.5]), &[true; 12], 8, 6);
+        let flow = at_frame_size(uniform(4, 3, [1.0, -0.5]), vec![true; 12], (8, 6));
         assert_eq!((flow.at(7, 5), flow.is_consistent(7, 5)), ([2.0, -1.0], true));
         assert_eq!(flow.displacement.len(), 48);
     }

@@ -46,13 +46,11 @@ impl OnnxFlow {
         let output_idx = model.outputs().iter().rposition(is_flow);
         let (2, true, Some(output_idx)) = (model.inputs().len(), model.inputs().iter().all(is_image), output_idx)
         else {
-            return Err(PerceptionError::UnknownLayout {
-                path: path.to_path_buf(),
-                task: "optical flow",
-                inputs: model.inputs().to_vec(),
-                outputs: model.outputs().to_vec(),
-                supported: "RAFT-like networks: two images [1, 3, h, w] in, displacements [1, 2, h, w] out",
-            });
+            return Err(PerceptionError::unknown_layout(
+                &model,
+                "optical flow",
+                "RAFT-like networks: two images [1, 3, h, w] in, displacements [1, 2, h, w] out",
+            ));
         };
         let description = match read_sidecar(path)? {
             Some(description) => Some(description),
@@ -76,11 +74,8 @@ impl OnnxFlow {
         let output = outputs.swap_remove(self.output_idx);
         let (height, width) = (from.shape[2], from.shape[3]);
         if output.shape != [1, 2, height, width] {
-            return Err(PerceptionError::Output {
-                path: self.model.path().to_path_buf(),
-                found: output.shape,
-                expected: format!("[1, 2, {height}, {width}], as large as the input"),
-            });
+            let expected = format!("[1, 2, {height}, {width}], as large as the input");
+            return Err(PerceptionError::output(&self.model, Some(output.shape), expected));
         }
         let (dx, dy) = output.values.split_at(height * width);
         Ok(Field { width, height, dx: dx.to_vec(), dy: dy.to_vec() })
@@ -100,6 +95,6 @@ impl FlowEstimator for OnnxFlow {
         let forward = self.estimate(&from, &to)?;
         let backward = self.estimate(&to, &from)?;
         let ok = consistent(&forward, &backward);
-        Ok(at_frame_size(&forward, &ok, width, height))
+        Ok(at_frame_size(forward, ok, (width, height)))
     }
 }

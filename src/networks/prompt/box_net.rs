@@ -51,13 +51,11 @@ pub fn load_small_box_segmenter(
     if is_crop && ranks == [4, 2] {
         return Ok(Box::new(BoxNet { model, options: options.clone() }));
     }
-    Err(PerceptionError::UnknownLayout {
-        path: model.path().to_path_buf(),
-        task: "box mask",
-        inputs: model.inputs().to_vec(),
-        outputs: model.outputs().to_vec(),
-        supported: "a crop [n, 4, 128, 128] in; logits [n, 1, 128, 128] and quality [n, 1] out",
-    })
+    Err(PerceptionError::unknown_layout(
+        &model,
+        "box mask",
+        "a crop [n, 4, 128, 128] in; logits [n, 1, 128, 128] and quality [n, 1] out",
+    ))
 }
 
 /// The network, ready to run.
@@ -124,11 +122,8 @@ impl BoxNet {
     }
 
     fn wrong_output(&self, found: Option<Tensor>) -> PerceptionError {
-        PerceptionError::Output {
-            path: self.model.path().to_path_buf(),
-            found: found.map_or_else(Vec::new, |tensor| tensor.shape),
-            expected: "logits [1, 1, 128, 128] and one quality".to_owned(),
-        }
+        let expected = "logits [1, 1, 128, 128] and one quality";
+        PerceptionError::output(&self.model, found.map(|tensor| tensor.shape), expected)
     }
 }
 

@@ -5,7 +5,7 @@
 //! background for certain; what lies well inside, in an ellipse, is the object for certain, without which the object is
 //! lost in every fifth box. Shadows, windows and ground between the wheels go wherever their colours do.
 
-use ::image::RgbImage;
+use ::image::{GrayImage, Luma, RgbImage};
 use opencv::core::{self, Mat};
 use opencv::imgproc;
 
@@ -13,7 +13,7 @@ use super::options::FILL;
 use super::outline::one_part;
 use super::window::Window;
 use super::{BoxMask, BoxSegmenter, PromptOptions, agreement, visible};
-use crate::image::{gray_from_mat, mat_from_bytes, mat_from_rgb, resize_rgb};
+use crate::image::{gray_from_mat, mat_from_gray, mat_from_rgb, resize_rgb};
 use crate::networks::PerceptionError;
 use crate::scene::{Mask, Rect};
 
@@ -120,13 +120,12 @@ fn first_labels(rect: &Rect, (width, height): (u32, u32)) -> Result<Option<Mat>,
             (false, false) => imgproc::GC_BGD,
         }
     };
-    let labels: Vec<u8> =
-        (0..height).flat_map(|y| (0..width).map(move |x| (x, y))).map(|(x, y)| label(x, y) as u8).collect();
+    let labels = GrayImage::from_fn(width, height, |x, y| Luma([label(x, y) as u8]));
     let has = |wanted: i32| labels.iter().any(|&label| i32::from(label) == wanted);
     if !has(imgproc::GC_BGD) || !has(imgproc::GC_FGD) {
         return Ok(None);
     }
-    Ok(Some(mat_from_bytes(width, height, &labels)?))
+    Ok(Some(mat_from_gray(&labels)?))
 }
 
 /// Returns true if a point lies in the ellipse in the middle of a box.

@@ -83,13 +83,7 @@ fn refuse_unless(fits: bool, model: &Model, supported: &'static str) -> Result<(
     if fits {
         return Ok(());
     }
-    Err(PerceptionError::UnknownLayout {
-        path: model.path().to_path_buf(),
-        task: "box mask",
-        inputs: model.inputs().to_vec(),
-        outputs: model.outputs().to_vec(),
-        supported,
-    })
+    Err(PerceptionError::unknown_layout(&model, "box mask", supported))
 }
 
 /// Both parts of the network, ready to run.
@@ -203,11 +197,7 @@ fn padded(pixels: &Tensor, (width, height): (u32, u32)) -> Tensor {
 }
 
 fn wrong_output(model: &Model, found: Option<Tensor>, expected: &str) -> PerceptionError {
-    PerceptionError::Output {
-        path: model.path().to_path_buf(),
-        found: found.map_or_else(Vec::new, |tensor| tensor.shape),
-        expected: expected.to_owned(),
-    }
+    PerceptionError::output(model, found.map(|tensor| tensor.shape), expected)
 }
 
 /// Outputs of the decoder for one box.

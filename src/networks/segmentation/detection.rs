@@ -24,12 +24,10 @@ pub fn load_detector(
     if yolox::recognise(&model) {
         return Yolox::new(model, options);
     }
-    Err(PerceptionError::UnknownLayout {
-        path: path.to_path_buf(),
-        task: "detection",
-        inputs: model.inputs().to_vec(),
-        outputs: model.outputs().to_vec(),
-        supported: "the YOLOX family: one image [1, 3, h, w] in; [1, n, 5 + classes] out, one row per cell of the \
+    Err(PerceptionError::unknown_layout(
+        &model,
+        "detection",
+        "the YOLOX family: one image [1, 3, h, w] in; [1, n, 5 + classes] out, one row per cell of the \
                     strides 8, 16 and 32, not decoded",
-    })
+    ))
 }

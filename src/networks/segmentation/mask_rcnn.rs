@@ -75,7 +75,7 @@ impl MaskRcnn {
     /// Takes a network that [`recognise`] accepted.
     pub(super) fn new(model: Model, options: &SegmentationOptions) -> Result<Self, PerceptionError> {
         let Some(places) = OutputIndices::find(model.outputs()) else {
-            return Err(wrong_output(&model, Vec::new(), "boxes, labels, scores and masks".to_owned()));
+            return Err(PerceptionError::output(&model, None, "boxes, labels, scores and masks"));
         };
         let classes = Classes::new(&model, class_names_after_background(&model)?, &options.classes)?;
         if classes.wanted.first() == Some(&true) {
@@ -108,12 +108,8 @@ impl MaskRcnn {
         let outputs = self.model.run(&[input])?;
         let num_classes = self.classes.names.len();
         CheckedOutputs::new(outputs, self.places, pixels.dimensions(), num_classes)
-            .map_err(|(found, expected)| wrong_output(&self.model, found, expected))
+            .map_err(|(found, expected)| PerceptionError::output(&self.model, Some(found), expected))
     }
-}
-
-fn wrong_output(model: &Model, found: Vec<usize>, expected: String) -> PerceptionError {
-    PerceptionError::Output { path: model.path().to_path_buf(), found, expected }
 }
 
 impl Segmenter for MaskRcnn {

@@ -153,15 +153,13 @@ pub fn load_segmenter(
     if mask_rcnn::recognise(&model) {
         return Ok(Box::new(MaskRcnn::new(model, options)?));
     }
-    Err(PerceptionError::UnknownLayout {
-        path: path.to_path_buf(),
-        task: "instance segmentation",
-        inputs: model.inputs().to_vec(),
-        outputs: model.outputs().to_vec(),
-        supported: "the YOLO-seg family (YOLOv8-seg, YOLO11-seg): one image [1, 3, h, w] in; \
+    Err(PerceptionError::unknown_layout(
+        &model,
+        "instance segmentation",
+        "the YOLO-seg family (YOLOv8-seg, YOLO11-seg): one image [1, 3, h, w] in; \
                     [1, 4 + classes + k, n] and prototypes [1, k, h, w] out; torchvision's Mask R-CNN: one image \
                     [3, h, w] in; boxes [n, 4], labels [n], scores [n], masks [n, 1, h, w] out; see docs/perception.md",
-    })
+    ))
 }
 
 #[cfg(test)]

@@ -74,11 +74,8 @@ impl YoloSeg {
     fn look(&mut self, input: &RgbImage) -> Result<Raw, PerceptionError> {
         let input = tensor_from_image(input, &Preprocessing::default());
         let outputs = self.model.run(&[input])?;
-        let raw = Raw::new(outputs).map_err(|(found, expected)| PerceptionError::Output {
-            path: self.model.path().to_path_buf(),
-            found,
-            expected,
-        })?;
+        let raw = Raw::new(outputs)
+            .map_err(|(found, expected)| PerceptionError::output(&self.model, Some(found), expected))?;
         let num_classes = raw.num_classes();
         if self.classes.as_ref().is_none_or(|c| c.names.len() != num_classes) {
             self.classes = Some(self.find_classes(num_classes)?);

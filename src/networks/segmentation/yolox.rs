@@ -109,20 +109,18 @@ impl Yolox {
         let mut outputs = self.model.run(&[tensor_from_image(pixels, &bytes)])?;
         let rows = num_cells(pixels.width() as usize, pixels.height() as usize);
         let expected = [1, rows, NUM_BOX_COLUMNS + self.wanted.len()];
-        let path = self.model.path().to_path_buf();
-        match outputs.pop() {
-            Some(output) if output.shape == expected && is_decoded(&output) => Err(PerceptionError::Output {
-                path,
-                found: output.shape,
-                expected: "boxes that are not decoded; export without --decode_in_inference".to_owned(),
-            }),
-            Some(output) if outputs.is_empty() && output.shape == expected => Ok(output),
-            other => Err(PerceptionError::Output {
-                path,
-                found: other.map_or_else(Vec::new, |output| output.shape),
-                expected: format!("{expected:?}, one row per cell of the strides 8, 16 and 32"),
-            }),
-        }
+        let (found, expected) = match outputs.pop() {
+            Some(output) if output.shape == expected && is_decoded(&output) => {
+                let plain = "boxes that are not decoded; export without --decode_in_inference";
+                (Some(output.shape), plain.to_owned())
+            }
+            Some(output) if outputs.is_empty() && output.shape == expected => return Ok(output),
+            other => {
+                let rows = format!("{expected:?}, one row per cell of the strides 8, 16 and 32");
+                (other.map(|output| output.shape), rows)
+            }
+        };
+        Err(PerceptionError::output(&self.model, found, expected))
     }
 }
 
