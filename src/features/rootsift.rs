@@ -40,6 +40,8 @@ pub struct FeatureOptions {
     pub border_px: u32,
 }
 
+/// Room round a mask for descriptors that reach over it, pixels.
+pub(super) const MARGIN_PX: u32 = 24;
 /// Indices of features are sixteen bits wide in matching.
 const MOST: usize = 60_000;
 
@@ -108,14 +110,12 @@ pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Resul
 /// As [`extract`].
 pub fn extract_gray(image: &GrayImage, mask: &Mask, options: &FeatureOptions) -> Result<Features, FeatureError> {
     let mask = mask.eroded(options.border_px);
-    let Some(window) = mask.bounding_box().map(|b| padded(b, image.width(), image.height())) else {
-        return Ok(Features::default());
-    };
-    let (crop, crop_mask) = cropped(image, &mask, window);
+    let Some(bounds) = mask.bounding_box() else { return Ok(Features::default()) };
+    let window = bounds.grown(MARGIN_PX, image.dimensions());
+    let crop = ::image::imageops::crop_imm(image, window.x0, window.y0, window.width(), window.height()).to_image();
     let scale = enlargement(window, options.enlarge_below_px);
     let (width, height) = (crop.width() * scale, crop.height() * scale);
     let crop = if scale > 1 { resize_gray(&crop, width, height)? } else { crop };
-    let crop_mask = Mask::from_fn(width, height, |x, y| crop_mask.get((x / scale).into(), (y / scale).into()));
     let values = crop.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
     let picture = Plane { width: width as usize, height: height as usize, values };
     let wanted = sift::Options {
@@ -123,25 +123,11 @@ pub fn extract_gray(image: &GrayImage, mask: &Mask, options: &FeatureOptions) ->
         min_contrast: (options.contrast_threshold / 3.0) as f32,
         doubled: options.doubled,
     };
-    let found = sift::detect(&picture, &wanted, |x, y| crop_mask.get(x as i64, y as i64));
+    let found = sift::detect(&picture, &wanted, |x, y| {
+        let (x, y) = (x as u32 / scale, y as u32 / scale);
+        mask.get((window.x0 + x).into(), (window.y0 + y).into())
+    });
     Ok(collected(window, f64::from(scale), &found))
-}
-
-/// The window with room for descriptors that reach over the mask.
-pub(super) fn padded(b: BoundingBox, width: u32, height: u32) -> BoundingBox {
-    const MARGIN_PX: u32 = 24;
-    BoundingBox {
-        x0: b.x0.saturating_sub(MARGIN_PX),
-        y0: b.y0.saturating_sub(MARGIN_PX),
-        x1: (b.x1 + MARGIN_PX).min(width),
-        y1: (b.y1 + MARGIN_PX).min(height),
-    }
-}
-
-fn cropped(gray: &GrayImage, mask: &Mask, w: BoundingBox) -> (GrayImage, Mask) {
-    let crop = ::image::imageops::crop_imm(gray, w.x0, w.y0, w.width(), w.height()).to_image();
-    let mask = Mask::from_fn(w.width(), w.height(), |x, y| mask.get((x + w.x0).into(), (y + w.y0).into()));
-    (crop, mask)
 }
 
 fn enlargement(window: BoundingBox, enlarge_below_px: u32) -> u32 {

@@ -58,7 +58,7 @@ impl BoundingBox {
     }
 
     /// Grown by a distance on all sides, within a frame.
-    fn grown(&self, by_px: u32, (width, height): (u32, u32)) -> Self {
+    pub fn grown(&self, by_px: u32, (width, height): (u32, u32)) -> Self {
         Self {
             x0: self.x0.saturating_sub(by_px),
             y0: self.y0.saturating_sub(by_px),

@@ -101,8 +101,7 @@ impl Cover {
 /// Pixels round a box.
 fn window(b: BoundingBox, flow: &Flow) -> impl Iterator<Item = (u32, u32)> + use<> {
     let reach = REACH_PX + b.width().max(b.height()) / 2;
-    let (x0, x1) = (b.x0.saturating_sub(reach), (b.x1 + reach).min(flow.width));
-    let (y0, y1) = (b.y0.saturating_sub(reach), (b.y1 + reach).min(flow.height));
+    let BoundingBox { x0, y0, x1, y1 } = b.grown(reach, (flow.width, flow.height));
     (y0..y1).flat_map(move |y| (x0..x1).map(move |x| (x, y)))
 }
 

@@ -114,8 +114,7 @@ pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied
     /// Samples along the longer side of the ring.
     const GRID: u32 = 24;
     let margin = bounds.width().max(bounds.height()).max(8);
-    let (x0, y0) = (bounds.x0.saturating_sub(margin), bounds.y0.saturating_sub(margin));
-    let (x1, y1) = ((bounds.x1 + margin).min(flow.width), (bounds.y1 + margin).min(flow.height));
+    let BoundingBox { x0, y0, x1, y1 } = bounds.grown(margin, (flow.width, flow.height));
     let step = ((x1 - x0).max(y1 - y0) / GRID).max(1) as usize;
     let mut samples: Vec<[f32; 2]> = Vec::new();
     for y in (y0..y1).step_by(step) {

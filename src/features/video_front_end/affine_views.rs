@@ -9,7 +9,7 @@ use std::f64::consts::{PI, SQRT_2};
 use nalgebra::{Matrix2, Matrix2x3, Point2, Rotation2, Vector2};
 
 use super::FeatureError;
-use crate::features::rootsift::{FeatureOptions, Features, extract_gray, padded};
+use crate::features::rootsift::{FeatureOptions, Features, MARGIN_PX, extract_gray};
 use crate::image::{GrayImage, resize_gray, warp_gray};
 use crate::scene::{BoundingBox, Mask};
 
@@ -95,7 +95,7 @@ impl Window {
     fn new(gray: &GrayImage, mask: &Mask) -> Result<Self, FeatureError> {
         let bounds = mask
             .bounding_box()
-            .map_or(BoundingBox { x0: 0, y0: 0, x1: 1, y1: 1 }, |b| padded(b, gray.width(), gray.height()));
+            .map_or(BoundingBox { x0: 0, y0: 0, x1: 1, y1: 1 }, |b| b.grown(MARGIN_PX, gray.dimensions()));
         let side = bounds.width().max(bounds.height());
         let divisor = side.div_ceil(LARGEST_PX).max(1);
         let (width, height) = ((bounds.width() / divisor).max(1), (bounds.height() / divisor).max(1));

@@ -279,11 +279,10 @@ impl VideoFrontEnd {
     fn corners(&self, gray: &GrayImage, free: &Mask, bounds: BoundingBox, wanted: usize) -> Vec<Point2<f32>> {
         /// Border that the strength of a corner depends on.
         const MARGIN_PX: u32 = 8;
-        let (x0, y0) = (bounds.x0.saturating_sub(MARGIN_PX), bounds.y0.saturating_sub(MARGIN_PX));
-        let x1 = bounds.x1.saturating_add(MARGIN_PX).min(gray.width());
-        let y1 = bounds.y1.saturating_add(MARGIN_PX).min(gray.height());
-        let crop = ::image::imageops::crop_imm(gray, x0, y0, x1 - x0, y1 - y0).to_image();
-        let free = free.pixels_in(BoundingBox { x0, y0, x1, y1 });
+        let window = bounds.grown(MARGIN_PX, gray.dimensions());
+        let BoundingBox { x0, y0, .. } = window;
+        let crop = ::image::imageops::crop_imm(gray, x0, y0, window.width(), window.height()).to_image();
+        let free = free.pixels_in(window);
         let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
         let found = corners::strongest(&CornerStrength::of(&crop), &free, wanted, quality, apart);
         found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
