@@ -15,7 +15,7 @@ use std::time::Instant;
 
 use image::{Rgb, RgbImage};
 use tractrix::ground;
-use tractrix::image::gray_from_rgb;
+use tractrix::image::Picture;
 use tractrix::motion::{
     GroundModel, Mover, PointFollower, PointTrack, Surroundings, TrackLabel, Verdict, View, classify, movers,
 };
@@ -67,9 +67,8 @@ fn follow(video: &Path) -> Result<Followed> {
     for item in source.frames()? {
         let (frame, image) = item?;
         size = image.dimensions();
-        let gray = gray_from_rgb(&image)?;
         let start = Instant::now();
-        follower.get_or_insert_with(|| PointFollower::new(size)).push(&gray)?;
+        follower.get_or_insert_with(|| PointFollower::new(size)).push(&Picture::new(&image))?;
         seconds += start.elapsed().as_secs_f64();
         times_s.push(frame.time_s);
         ids.push(ImageId::from(frame.id));

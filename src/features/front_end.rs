@@ -9,13 +9,13 @@ use serde::{Deserialize, Serialize};
 use super::Target;
 use super::large_frames::AnySizeFrontEnd;
 use super::matching::MatchOptions;
-use super::picture::Picture;
 use super::sift_front_end::{SiftFrontEnd, SiftOptions};
 use super::tracks::TrackTable;
 use super::video_front_end::VideoOptions;
 use crate::camera::Camera;
 use crate::checks::{Checked, under};
 use crate::features::FeatureError;
+use crate::image::Picture;
 use crate::scene::{Frame, Mask};
 
 /// Kind of front end.

@@ -6,11 +6,11 @@
 //! frames are reduced to 1920, and positions are given in pixels of the frame. A target whose first mask fits in 1920
 //! pixels is small, and keeps its detail.
 
-use super::picture::Picture;
 use super::tracks::TrackTable;
 use super::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::camera::Camera;
 use crate::features::FeatureError;
+use crate::image::Picture;
 use crate::image::{RgbImage, resize_rgb, scale_to_fit};
 use crate::scene::{Frame, Mask};
 

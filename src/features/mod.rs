@@ -10,7 +10,6 @@ pub mod lines;
 pub mod matching;
 pub mod order;
 pub mod patch;
-mod picture;
 pub mod refinement;
 mod retrieval;
 pub mod rootsift;
@@ -21,7 +20,6 @@ pub mod video_front_end;
 
 pub use error::FeatureError;
 pub use front_end::{FrontEnd, FrontEndKind, FrontEndOptions};
-pub use picture::Picture;
 pub use tracks::TrackTable;
 
 /// Target of a reconstruction.

@@ -13,6 +13,7 @@ mod degrade;
 mod line_segments;
 mod lucas_kanade;
 mod opencv_mat;
+mod picture;
 mod resize;
 
 use std::num::TryFromIntError;
@@ -25,6 +26,7 @@ pub use self::lucas_kanade::{LucasKanade, Pyramid, Returned, TrackedPoint};
 pub use self::opencv_mat::{
     borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_gray, mat_from_rgb, rgb_from_mat,
 };
+pub use self::picture::Picture;
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, resize_rgb_quickly, scale_to_fit, warp_gray, warp_rgb};
 pub use ::image::{GrayImage, RgbImage};
 

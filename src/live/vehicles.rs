@@ -16,8 +16,8 @@ use super::models::{Model, Request, Subject};
 use super::perception::{Identity, Outlined};
 use super::window::SPARE_S;
 use crate::camera::Camera;
-use crate::features::Picture;
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
+use crate::image::Picture;
 use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::{Options, PipelineError};
 use crate::scene::{

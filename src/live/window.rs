@@ -8,11 +8,11 @@ use nalgebra::Point2;
 use super::map::WorldMap;
 use super::{Purpose, WINDOW_S};
 use crate::camera::Camera;
-use crate::features::Picture;
 use crate::features::lines::ImageLines;
 use crate::features::tracks::{Feature, Track, TrackTable};
 use crate::features::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::geometry::resection::{self, PixelsAndPoints};
+use crate::image::Picture;
 use crate::math::{Rigid3, median, seeded_rng};
 use crate::pipeline::PipelineError;
 use crate::scene::{

@@ -8,11 +8,12 @@
 //! again and again in the same cells.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use crate::image::{CornerStrength, GrayImage, LucasKanade, Pyramid, resize_gray, scale_to_fit};
+use crate::image::{CornerStrength, LucasKanade, Picture, Pyramid, gray_from_rgb, resize_gray, scale_to_fit};
 use crate::math::lower_quantile;
 use crate::networks::PerceptionError;
 
@@ -76,7 +77,7 @@ pub fn alive(tracks: &[PointTrack]) -> impl Iterator<Item = Vec<usize>> {
 pub struct PointFollower {
     size: (u32, u32),
     work: (u32, u32),
-    previous: Option<Pyramid>,
+    previous: Option<Arc<Pyramid>>,
     live: Vec<Live>,
     done: Vec<PointTrack>,
     num_frames: u32,
@@ -130,19 +131,29 @@ impl PointFollower {
     /// Takes the next frame. Frames must follow one another as in the source.
     ///
     /// # Errors
-    /// [`PerceptionError::SizeMismatch`] for a frame of another size, [`PerceptionError::OpenCv`] if OpenCV fails.
-    pub fn push(&mut self, picture: &GrayImage) -> Result<(), PerceptionError> {
-        if picture.dimensions() != self.size {
+    /// [`PerceptionError::SizeMismatch`] for a frame of another size, [`PerceptionError::Image`] if OpenCV fails.
+    pub fn push(&mut self, picture: &Picture) -> Result<(), PerceptionError> {
+        let found = picture.rgb().dimensions();
+        if found != self.size {
             let what = format!("frame {}", self.num_frames);
-            return Err(PerceptionError::SizeMismatch { what, expected: self.size, found: picture.dimensions() });
+            return Err(PerceptionError::SizeMismatch { what, expected: self.size, found });
         }
-        let picture = resize_gray(picture, self.work.0, self.work.1)?;
-        let pyramid = Pyramid::new(picture, PYRAMID_LEVELS)?;
+        let is_whole = self.work == self.size;
+        let pyramid = match is_whole {
+            true => picture.pyramid(PYRAMID_LEVELS)?,
+            false => {
+                let smaller = resize_gray(&gray_from_rgb(picture.rgb())?, self.work.0, self.work.1)?;
+                Arc::new(Pyramid::new(smaller, PYRAMID_LEVELS)?)
+            }
+        };
         if let Some(previous) = self.previous.take() {
             self.follow(&previous, &pyramid);
         }
         self.drop_crowded();
-        self.find_new(&CornerStrength::of(pyramid.picture()));
+        match is_whole {
+            true => self.find_new(picture.corners(&pyramid)),
+            false => self.find_new(&CornerStrength::of(pyramid.picture())),
+        }
         self.previous = Some(pyramid);
         self.num_frames += 1;
         Ok(())

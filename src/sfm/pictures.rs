@@ -2,7 +2,8 @@
 
 use super::{Options, SfmError};
 use crate::camera::Camera;
-use crate::features::{FrontEnd, Picture};
+use crate::features::FrontEnd;
+use crate::image::Picture;
 use crate::image::RgbImage;
 use crate::mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
 use crate::scene::{Frame, Mask, Reconstruction};

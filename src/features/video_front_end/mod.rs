@@ -29,11 +29,11 @@ use serde::{Deserialize, Serialize};
 use super::Target;
 use super::matching::MatchOptions;
 use super::patch::{Patch, Warp};
-use super::picture::Picture;
 use super::tracks::{Feature, Track, TrackTable, View};
 use crate::camera::Camera;
 use crate::checks::{Checked, under, within};
 use crate::features::FeatureError;
+use crate::image::Picture;
 use crate::image::{CornerStrength, GrayImage, Pyramid, RgbImage};
 use crate::scene::{BoundingBox, Frame, Mask};
 use keyframe_memory::Memory;
@@ -189,7 +189,7 @@ impl VideoFrontEnd {
         }
         let gray = pyramid.picture();
         self.find_again(gray, &mask)?;
-        self.find_new(gray, &mask)?;
+        self.find_new(gray, picture.known_corners(), &mask);
         self.memory.remember(self.table.views.len(), pyramid.clone(), mask, &self.live);
         self.record(frame, picture.rgb());
         self.previous = Some(pyramid);
@@ -254,15 +254,17 @@ impl VideoFrontEnd {
     }
 
     /// Fills up to the wanted number of points, away from those that are followed already.
-    fn find_new(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
+    ///
+    /// * `strength` – of the whole frame, if it is known.
+    fn find_new(&mut self, gray: &GrayImage, strength: Option<&CornerStrength>, mask: &Mask) {
         let wanted = self.options.max_points.saturating_sub(self.live.len());
         let mut free = mask.clone();
         let reach = self.reach.min_distance_px.ceil() as i64;
         for point in &self.live {
             clear_disc(&mut free, point.warp.center, reach);
         }
-        let Some(bounds) = free.bounding_box().filter(|_| wanted > 0) else { return Ok(()) };
-        for center in self.corners(gray, &free, bounds, wanted) {
+        let Some(bounds) = free.bounding_box().filter(|_| wanted > 0) else { return };
+        for center in self.corners(gray, strength, &free, bounds, wanted) {
             if let Some(patch) = Patch::cut(gray, center, self.reach.patch_radius_px) {
                 let track = self.table.tracks.len();
                 self.table.tracks.push(Track::new());
@@ -271,20 +273,29 @@ impl VideoFrontEnd {
                 self.live.push(Live { track, patch, warp, whitening, step: None, views_left: None });
             }
         }
-        Ok(())
     }
 
     /// The strongest corners of the pixels that are set, all of which lie within some bounds: of a small object no more
-    /// than its surroundings are looked at.
-    fn corners(&self, gray: &GrayImage, free: &Mask, bounds: BoundingBox, wanted: usize) -> Vec<Point2<f32>> {
+    /// than its surroundings are looked at, unless the strength of the whole frame is known.
+    fn corners(
+        &self,
+        gray: &GrayImage,
+        strength: Option<&CornerStrength>,
+        free: &Mask,
+        bounds: BoundingBox,
+        wanted: usize,
+    ) -> Vec<Point2<f32>> {
         /// Border that the strength of a corner depends on.
         const MARGIN_PX: u32 = 8;
+        let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
+        if let Some(strength) = strength {
+            let whole = BoundingBox { x0: 0, y0: 0, x1: gray.width(), y1: gray.height() };
+            return corners::strongest(strength, &free.pixels_in(whole), wanted, quality, apart);
+        }
         let window = bounds.grown(MARGIN_PX, gray.dimensions());
         let BoundingBox { x0, y0, .. } = window;
         let crop = ::image::imageops::crop_imm(gray, x0, y0, window.width(), window.height()).to_image();
-        let free = free.pixels_in(window);
-        let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
-        let found = corners::strongest(&CornerStrength::of(&crop), &free, wanted, quality, apart);
+        let found = corners::strongest(&CornerStrength::of(&crop), &free.pixels_in(window), wanted, quality, apart);
         found.into_iter().map(|corner| corner + Vector2::new(x0 as f32, y0 as f32)).collect()
     }
 

@@ -1,5 +1,6 @@
 //! Points on pictures whose motion is known.
 
+use ::image::{GrayImage, Pixel as _, RgbImage};
 use rand::Rng as _;
 
 use super::*;
@@ -17,10 +18,11 @@ fn texture(seed: u64) -> GrayImage {
 }
 
 /// The wall moves two pixels a frame to the left; in the middle every picture shows another one.
-fn picture(wall: &GrayImage, k: u32) -> GrayImage {
+fn picture(wall: &GrayImage, k: u32) -> RgbImage {
     let other = texture(100 + u64::from(k));
-    GrayImage::from_fn(SIZE.0, SIZE.1, |x, y| {
-        if FLICKERS.contains(&x) { *other.get_pixel(x, y) } else { *wall.get_pixel(x + 2 * k, y) }
+    RgbImage::from_fn(SIZE.0, SIZE.1, |x, y| {
+        let shown = if FLICKERS.contains(&x) { other.get_pixel(x, y) } else { wall.get_pixel(x + 2 * k, y) };
+        shown.to_rgb()
     })
 }
 
@@ -31,7 +33,7 @@ fn follower() -> PointFollower {
 #[test]
 fn points_stay_on_what_they_were_found_on() {
     let (wall, mut follower) = (texture(1), follower());
-    (0..12).for_each(|k| follower.push(&picture(&wall, k)).unwrap());
+    (0..12).for_each(|k| follower.push(&Picture::new(&picture(&wall, k))).unwrap());
     let tracks = follower.finish();
     let right = |track: &PointTrack| {
         let [x, y] = track.pixels[0];
@@ -45,7 +47,7 @@ fn points_stay_on_what_they_were_found_on() {
 #[test]
 fn cells_rest_whose_points_do_not_last_and_no_others() {
     let (wall, mut follower) = (texture(1), follower());
-    (0..6).for_each(|k| follower.push(&picture(&wall, k)).unwrap());
+    (0..6).for_each(|k| follower.push(&Picture::new(&picture(&wall, k))).unwrap());
     let (cols, rows) = follower.grid();
     let resting = |columns: std::ops::Range<usize>| {
         let cells = (0..rows).flat_map(|row| columns.clone().map(move |col| row * cols + col));

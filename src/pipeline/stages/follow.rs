@@ -6,7 +6,8 @@ use serde_json::{Value, json};
 
 use super::features::{self, TrackStore};
 use super::track;
-use crate::features::{FrontEnd, Picture, TrackTable};
+use crate::features::{FrontEnd, TrackTable};
+use crate::image::Picture;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{PipelineError, Stage};

@@ -8,7 +8,8 @@ use std::path::PathBuf;
 use serde_json::{Value, json};
 
 use super::motion::point_tracks::{self, Follower};
-use crate::features::{FrontEnd, Picture, TrackTable};
+use crate::features::{FrontEnd, TrackTable};
+use crate::image::Picture;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{cameras, images, order, telemetry};
@@ -96,10 +97,11 @@ fn follow_background(
             let mask = masking.background(&frame, picture.dimensions())?;
             let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
             num_decoded += 1;
+            let picture = Picture::new(&picture);
             if let Some(points) = &mut points {
                 points.push(&frame, &picture)?;
             }
-            Ok(background.push_of(camera, &frame, &Picture::new(&picture), &mask)?)
+            Ok(background.push_of(camera, &frame, &picture, &mask)?)
         },
     )?;
     if num_decoded == 0 {

@@ -10,9 +10,8 @@ use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
-use crate::image::{RgbImage, gray_from_rgb};
+use crate::image::Picture;
 use crate::motion::{PointFollower, PointTrack};
-use crate::networks::PerceptionError;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
@@ -53,8 +52,8 @@ impl Follower {
     }
 
     /// Takes the next frame.
-    pub(in crate::pipeline) fn push(&mut self, frame: &Frame, picture: &RgbImage) -> Result<(), PipelineError> {
-        self.points.push(&gray_from_rgb(picture).map_err(PerceptionError::from)?)?;
+    pub(in crate::pipeline) fn push(&mut self, frame: &Frame, picture: &Picture) -> Result<(), PipelineError> {
+        self.points.push(picture)?;
         self.frames.push(frame.clone());
         Ok(())
     }
@@ -78,7 +77,9 @@ pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcom
     let wanted: BTreeSet<FrameId> = run.frames()?.iter().map(|frame| frame.id).collect();
     let number = wanted.len();
     let frames = (run.source.frames_at(wanted)?, number);
-    images::for_each(run, Stage::Motion, frames, outcome, |frame, picture| follower.push(&frame, &picture))?;
+    images::for_each(run, Stage::Motion, frames, outcome, |frame, picture| {
+        follower.push(&frame, &Picture::new(&picture))
+    })?;
     let followed = follower.finish();
     intermediate::write(&folder.join(FILE_NAME), &followed)?;
     Ok(followed)
