@@ -9,15 +9,15 @@
 //!
 //! Point ids are those of `background/`; planes are in its frame, normals of unit length towards the camera's side.
 
+use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{Point3, Vector3};
 use schemars::{JsonSchema, Schema};
 use serde::{Deserialize, Serialize};
 
 use super::extent::{LARGEST, is_sensible};
 use super::{IoError, atomic, json};
-use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, PlaneBasis, Point3dId};
+use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, Point3dId};
 
 /// The only version there is.
 const VERSION: u32 = 1;
@@ -42,24 +42,8 @@ struct Plane {
     object: ObjectId,
     /// The frame.
     frame: FrameId,
-    /// Unit normal towards the camera's side.
-    normal: [f64; 3],
-    /// A point of the plane.
-    point: [f64; 3],
-    /// Ground points near the object.
-    num_points: usize,
-    /// Those on the plane.
-    num_inliers: usize,
-    /// Root mean square distance of the inliers.
-    rms: f64,
-    /// Basis of the plane.
-    basis: PlaneBasis,
-    /// Standard deviation of its height below the object.
-    height_std: f64,
-    /// The part of `height_std` that all frames of the object share.
-    common_height_std: f64,
-    /// Standard deviation of the tilt, radians.
-    tilt_std: f64,
+    #[serde(flatten)]
+    plane: GroundPlane,
 }
 
 /// The JSON schema of the file.
@@ -72,20 +56,7 @@ pub fn schema() -> Schema {
 /// # Errors
 /// A system error, or a plane with a number that is not finite.
 pub fn write(path: &Path, ground: &Ground) -> Result<(), IoError> {
-    let plane_to_file = |(&(object, frame), plane): (&(ObjectId, FrameId), &GroundPlane)| Plane {
-        object,
-        frame,
-        normal: plane.normal.into(),
-        point: plane.point.into(),
-        num_points: plane.num_points,
-        num_inliers: plane.num_inliers,
-        rms: plane.rms,
-        basis: plane.basis,
-        height_std: plane.height_std,
-        common_height_std: plane.common_height_std,
-        tilt_std: plane.tilt_std,
-    };
-    let planes = ground.planes.iter().map(plane_to_file).collect();
+    let planes = ground.planes.iter().map(|(&(object, frame), &plane)| Plane { object, frame, plane }).collect();
     let document = Document { version: VERSION, source: ground.source, point_ids: ground.point_ids.clone(), planes };
     check(path, &document)?;
     atomic::write_json(path, &document)
@@ -100,21 +71,7 @@ pub fn read(path: &Path) -> Result<Ground, IoError> {
     json::check_version(path, document.version, VERSION)?;
     check(path, &document)?;
     let num_planes = document.planes.len();
-    let plane_from_file = |p: Plane| {
-        let plane = GroundPlane {
-            normal: Vector3::from(p.normal),
-            point: Point3::from(p.point),
-            num_points: p.num_points,
-            num_inliers: p.num_inliers,
-            rms: p.rms,
-            basis: p.basis,
-            height_std: p.height_std,
-            common_height_std: p.common_height_std,
-            tilt_std: p.tilt_std,
-        };
-        ((p.object, p.frame), plane)
-    };
-    let planes: std::collections::BTreeMap<_, _> = document.planes.into_iter().map(plane_from_file).collect();
+    let planes: BTreeMap<_, _> = document.planes.into_iter().map(|p| ((p.object, p.frame), p.plane)).collect();
     if planes.len() != num_planes {
         return Err(IoError::content(path, "an object has two planes in one frame"));
     }
@@ -122,17 +79,16 @@ pub fn read(path: &Path) -> Result<Ground, IoError> {
 }
 
 fn check(path: &Path, document: &Document) -> Result<(), IoError> {
-    for plane in &document.planes {
+    for Plane { object, frame, plane } in &document.planes {
         let deviations = [&plane.rms, &plane.height_std, &plane.common_height_std, &plane.tilt_std];
-        let mut numbers = plane.normal.iter().chain(&plane.point).chain(deviations);
-        let length = Vector3::from(plane.normal).norm();
+        let mut numbers = plane.normal.iter().chain(plane.point.iter()).chain(deviations);
+        let length = plane.normal.norm();
         let problem = match numbers.find(|n| !is_sensible(n)) {
             Some(number) => format!("{number} is not a number of at most {LARGEST:e}"),
             None if deviations.iter().any(|n| **n < 0.0) => "negative standard deviation".to_owned(),
             None if (length - 1.0).abs() > 1e-6 => format!("normal of length {length}, expected 1"),
             None => continue,
         };
-        let Plane { object, frame, .. } = plane;
         return Err(IoError::content(path, format!("plane of object {object} in frame {}: {problem}", frame.0)));
     }
     Ok(())
@@ -140,7 +96,10 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::{Point3, Vector3};
+
     use super::*;
+    use crate::scene::PlaneBasis;
 
     fn sample() -> Ground {
         let plane = GroundPlane {

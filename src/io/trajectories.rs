@@ -3,10 +3,9 @@
 //! Version 3 drops the key `speed` of frames where it was always null: speeds are `speed_m_s`. It has `travel`, and the
 //! verdict `rejected` instead of `not-to-be-trusted`. [`write_version_2()`] writes the keys and words of before.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{Quaternion, UnitQuaternion, Vector3};
+use nalgebra::{Quaternion, UnitQuaternion};
 use schemars::{JsonSchema, Schema};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -16,9 +15,7 @@ use super::extent::{is_sensible, is_sensible_ratio};
 use super::{IoError, atomic, json};
 use crate::math::{MAX_UNIT_ERROR, Sim3};
 use crate::scene::{
-    BodyCenter, CameraPathRatio, ContactError, Dimensions, FrameId, GroundPosition, GroundTrack, Metric, MetricPose,
-    MetricVerdict, ObjectId, ObjectPose, ObjectTrajectory, PlaneBasis, Ratios, References, ScaleEstimate, ScaleMethod,
-    ScaleShares, ScaleSupport, Trajectories, Travel, Unit, Verdict,
+    ContactError, GroundPosition, GroundTrack, Metric, MetricVerdict, ObjectPose, ObjectTrajectory, Trajectories, Unit,
 };
 
 /// The version that is written.
@@ -45,104 +42,10 @@ struct Document {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     metric: Option<Metric>,
     /// Vehicles with a trajectory, ascending by id.
-    objects: Vec<Object>,
+    objects: Vec<ObjectTrajectory>,
     /// Vehicles that are followed on the ground; absent where there is none.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     ground_tracks: Vec<GroundTrack>,
-}
-
-/// A vehicle.
-#[derive(Serialize, Deserialize, JsonSchema)]
-struct Object {
-    /// Its id, from 1.
-    id: ObjectId,
-    /// Class of most of its detections.
-    class: String,
-    /// Mean score of its detections, 0 to 1; 1 for given masks.
-    confidence: f64,
-    /// Scale ratio between the object's and the background's unit.
-    scale: Scale,
-    /// Bases of its ground planes, and in how many frames.
-    #[serde(default)]
-    ground: BTreeMap<PlaneBasis, usize>,
-    /// Center of the body, which is at `position`; absent where outlines do not show it, then the center of the points
-    /// is there.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    body_center: Option<BodyCenter>,
-    /// Verdict; null if the trajectory was not judged.
-    #[serde(default)]
-    verdict: Option<Verdict>,
-    /// Size; absent where meters are unknown.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    dimensions: Option<Dimensions>,
-    /// Path length, displacement and speeds; absent for fewer than four frames.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    travel: Option<Travel>,
-    /// Ascending; frames without both cameras are absent.
-    frames: Vec<Pose>,
-}
-
-/// A scale ratio.
-#[derive(Serialize, Deserialize, JsonSchema)]
-struct Scale {
-    /// One unit of the object's model in units of the background; positive.
-    ratio: f64,
-    /// Its standard deviation; null where the method gives none.
-    std: Option<f64>,
-    /// Method of `ratio`.
-    method: ScaleMethod,
-    /// True if the motion leaves the ratio undetermined.
-    degenerate: bool,
-    /// Reason why it is degenerate.
-    reason: Option<String>,
-    /// Ratios by all methods, for the model in `objects/<id>`.
-    alternatives: Ratios,
-    /// The same for the model in `as-reconstructed/<id>`; null where nothing was adjusted.
-    #[serde(default)]
-    as_reconstructed: Option<Ratios>,
-    /// Contributions to `std`, as shares of the ratio.
-    #[serde(default)]
-    shares: Option<ScaleShares>,
-    /// Evidence for the ratio.
-    #[serde(default)]
-    support: Option<ScaleSupport>,
-    /// Ratio by the camera path; absent unless the vehicle is stationary.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    camera_path: Option<CameraPathRatio>,
-    /// Results of the reference methods; absent unless they were requested.
-    #[serde(default, skip_serializing_if = "References::is_empty")]
-    references: References,
-}
-
-/// A vehicle in one frame.
-#[derive(Serialize, Deserialize, JsonSchema)]
-struct Pose {
-    /// The frame.
-    frame: FrameId,
-    /// Its image name.
-    name: String,
-    /// Its time, seconds.
-    time_s: f64,
-    /// Center of the body, or of the points, in the frame of `background/`.
-    position: [f64; 3],
-    /// From the frame of `objects/<id>` to that of `background/`.
-    world_from_object: Placement,
-    /// Speed, where `unit` is `metre`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    speed: Option<f64>,
-    #[serde(flatten)]
-    metric: Option<MetricPose>,
-}
-
-/// A point X of the object is at `scale * R * X + translation`.
-#[derive(Serialize, Deserialize, JsonSchema)]
-struct Placement {
-    /// The object's ratio.
-    scale: f64,
-    /// Unit quaternion w, x, y, z.
-    rotation_wxyz: [f64; 4],
-    /// Of the object's origin.
-    translation: [f64; 3],
 }
 
 /// The JSON schema of the file.
@@ -184,13 +87,9 @@ pub fn write_version_2(path: &Path, trajectories: &Trajectories) -> Result<(), I
 }
 
 fn document(trajectories: &Trajectories, version: u32) -> Document {
-    Document {
-        version,
-        unit: trajectories.unit,
-        metric: trajectories.metric.clone(),
-        objects: trajectories.objects.iter().map(object_to_file).collect(),
-        ground_tracks: trajectories.ground_tracks.clone(),
-    }
+    let Trajectories { unit, metric, mut objects, ground_tracks } = trajectories.clone();
+    normalize_rotations(&mut objects);
+    Document { version, unit, metric, objects, ground_tracks }
 }
 
 /// Reads the trajectories of a run.
@@ -203,116 +102,16 @@ pub fn read(path: &Path) -> Result<Trajectories, IoError> {
         json::check_version(path, document.version, VERSION)?;
     }
     check(path, &document)?;
-    let Document { unit, metric, objects, ground_tracks, .. } = document;
-    Ok(Trajectories { unit, metric, objects: objects.into_iter().map(object_from_file).collect(), ground_tracks })
+    let Document { unit, metric, mut objects, ground_tracks, .. } = document;
+    normalize_rotations(&mut objects);
+    Ok(Trajectories { unit, metric, objects, ground_tracks })
 }
 
-fn object_to_file(object: &ObjectTrajectory) -> Object {
-    let ScaleEstimate {
-        ratio,
-        std,
-        method,
-        degenerate,
-        reason,
-        alternatives,
-        as_reconstructed,
-        shares,
-        support,
-        camera_path,
-        references,
-    } = object.scale.clone();
-    Object {
-        id: object.id,
-        class: object.class.clone(),
-        confidence: object.confidence,
-        scale: Scale {
-            ratio,
-            std,
-            method,
-            degenerate,
-            reason,
-            alternatives,
-            as_reconstructed,
-            shares,
-            support,
-            camera_path,
-            references,
-        },
-        ground: object.ground.clone(),
-        body_center: object.body_center,
-        verdict: object.verdict.clone(),
-        dimensions: object.dimensions,
-        travel: object.travel,
-        frames: object.poses.iter().map(pose_to_file).collect(),
-    }
-}
-
-fn pose_to_file(pose: &ObjectPose) -> Pose {
-    let Sim3 { scale, rotation, translation } = pose.world_from_object;
-    // Normalised again: products of many rotations drift from unit length.
-    let q = rotation.into_inner().normalize();
-    Pose {
-        frame: pose.frame,
-        name: pose.name.clone(),
-        time_s: pose.time_s,
-        position: pose.position,
-        world_from_object: Placement { scale, rotation_wxyz: [q.w, q.i, q.j, q.k], translation: translation.into() },
-        speed: pose.speed,
-        metric: pose.metric,
-    }
-}
-
-fn object_from_file(object: Object) -> ObjectTrajectory {
-    let Scale {
-        ratio,
-        std,
-        method,
-        degenerate,
-        reason,
-        alternatives,
-        as_reconstructed,
-        shares,
-        support,
-        camera_path,
-        references,
-    } = object.scale;
-    ObjectTrajectory {
-        id: object.id,
-        class: object.class,
-        confidence: object.confidence,
-        scale: ScaleEstimate {
-            ratio,
-            std,
-            method,
-            degenerate,
-            reason,
-            alternatives,
-            as_reconstructed,
-            shares,
-            support,
-            camera_path,
-            references,
-        },
-        ground: object.ground,
-        body_center: object.body_center,
-        verdict: object.verdict,
-        dimensions: object.dimensions,
-        travel: object.travel,
-        poses: object.frames.into_iter().map(pose_from_file).collect(),
-    }
-}
-
-fn pose_from_file(pose: Pose) -> ObjectPose {
-    let Placement { scale, rotation_wxyz: [w, x, y, z], translation } = pose.world_from_object;
-    let rotation = UnitQuaternion::new_normalize(Quaternion::new(w, x, y, z));
-    ObjectPose {
-        frame: pose.frame,
-        name: pose.name,
-        time_s: pose.time_s,
-        position: pose.position,
-        world_from_object: Sim3::new(scale, rotation, Vector3::from(translation)),
-        speed: pose.speed,
-        metric: pose.metric,
+/// Normalizes the rotations of all poses: products of many rotations drift from unit length.
+fn normalize_rotations(objects: &mut [ObjectTrajectory]) {
+    for pose in objects.iter_mut().flat_map(|object| &mut object.poses) {
+        let rotation = &mut pose.world_from_object.rotation;
+        *rotation = UnitQuaternion::new_normalize(rotation.into_inner());
     }
 }
 
@@ -327,14 +126,8 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         if !is_sensible_ratio(scale.ratio) {
             return wrong(format!("scale ratio {:e}: not positive, or out of range", scale.ratio));
         }
-        let ratios = scale.alternatives.values().chain(scale.as_reconstructed.iter().flat_map(BTreeMap::values));
-        let evidence = scale.shares.iter().flat_map(shares).chain(scale.support.iter().flat_map(lengths));
-        let evidence = evidence.chain(scale.camera_path.iter().flat_map(camera_path));
-        let of_references = scale.references.values().flat_map(|found| found.ratio.iter().chain(&found.std));
-        let numbers =
-            scale.std.iter().chain(ratios).chain(of_references).chain([&object.confidence]).copied().chain(evidence);
-        if let Some(number) = numbers.into_iter().find(|n| !n.is_finite()) {
-            return wrong(format!("{number} is not a finite number"));
+        if !has_finite_numbers(scale) || !object.confidence.is_finite() {
+            return wrong("scale or confidence is not a finite number".into());
         }
         if !object.dimensions.as_ref().is_none_or(has_finite_numbers) {
             return wrong("a dimension is not a finite number".into());
@@ -352,10 +145,10 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         if scale.degenerate && scale.reason.is_none() {
             return wrong("degenerate without a reason".into());
         }
-        if let Some(pair) = object.frames.windows(2).find(|pair| pair[0].frame >= pair[1].frame) {
+        if let Some(pair) = object.poses.windows(2).find(|pair| pair[0].frame >= pair[1].frame) {
             return wrong(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0));
         }
-        for pose in &object.frames {
+        for pose in &object.poses {
             if let Some(problem) = pose_problem(pose, scale.ratio) {
                 return wrong(format!("frame {}: {problem}", pose.frame.0));
             }
@@ -381,20 +174,6 @@ fn ground_track_problem(track: &GroundTrack) -> Option<String> {
     }
     let pair = track.positions.windows(2).find(|pair| pair[0].frame >= pair[1].frame)?;
     Some(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0))
-}
-
-fn shares(of: &ScaleShares) -> [f64; 5] {
-    let ScaleShares { frames, plane, contact, focal, disagreement } = *of;
-    [frames, plane, contact, focal, disagreement]
-}
-
-fn camera_path(of: &CameraPathRatio) -> [f64; 5] {
-    let CameraPathRatio { ratio, std, residual, ratio_without, std_without, degenerate_without: _ } = *of;
-    [ratio, std, residual, ratio_without, std_without.unwrap_or(0.0)]
-}
-
-fn lengths(of: &ScaleSupport) -> [f64; 3] {
-    [of.tilt, of.ground_residual, of.disagreement.unwrap_or(0.0)]
 }
 
 /// Problem of the meters of a result.
@@ -425,9 +204,9 @@ fn norm([w, x, y, z]: [f64; 4]) -> f64 {
     Quaternion::new(w, x, y, z).norm()
 }
 
-fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
-    let Placement { scale, rotation_wxyz, translation } = &pose.world_from_object;
-    let numbers = [&pose.time_s].into_iter().chain(&pose.position).chain(rotation_wxyz).chain(translation);
+fn pose_problem(pose: &ObjectPose, ratio: f64) -> Option<String> {
+    let Sim3 { scale, rotation, translation } = &pose.world_from_object;
+    let numbers = [&pose.time_s].into_iter().chain(&pose.position).chain(&rotation.coords).chain(translation);
     if let Some(number) = numbers.chain(&pose.speed).find(|n| !n.is_finite()) {
         return Some(format!("{number} is not a finite number"));
     }
@@ -437,10 +216,6 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
     if let Some(far) = pose.position.iter().chain(translation).find(|c| !is_sensible(c)) {
         return Some(format!("{far:e} is out of range"));
     }
-    let norm = norm(*rotation_wxyz);
-    if (norm - 1.0).abs() > MAX_UNIT_ERROR {
-        return Some(format!("quaternion of length {norm}, expected 1"));
-    }
     // Negated, so that NaN is caught as well.
     let agrees = (scale / ratio - 1.0).abs() <= MAX_SCALE_ERROR;
     (!agrees).then(|| format!("scale {scale} differs from the object's ratio {ratio}"))
@@ -448,10 +223,15 @@ fn pose_problem(pose: &Pose, ratio: f64) -> Option<String> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
+    use nalgebra::Vector3;
+
     use super::*;
     use crate::scene::{
-        ClockZone, Dates, Estimate, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricShare, MetricStd, Reason,
-        ReasonKind, Reference, ScaleMethod, Trust,
+        CameraPathRatio, ClockZone, Dates, Dimensions, Estimate, FrameId, MapOrigin, MapPlace, MetricAxes, MetricFrame,
+        MetricPose, MetricShare, MetricStd, ObjectId, PlaneBasis, Reason, ReasonKind, Reference, ScaleEstimate,
+        ScaleMethod, ScaleShares, ScaleSupport, Travel, Trust, Verdict,
     };
 
     fn sample() -> Trajectories {
@@ -667,7 +447,7 @@ mod tests {
         assert!(refused(|o| o.poses[1].world_from_object.scale = 0.73).contains("frame 2: scale 0.73"));
         assert!(refused(|o| o.poses[1].position[2] = f64::INFINITY).contains("frame 2: inf"));
         assert!(refused(|o| o.poses.reverse()).contains("frame 0 after frame 2"));
-        assert!(refused(|o| o.scale.shares.as_mut().unwrap().plane = f64::NAN).contains("NaN is not a finite"));
+        assert!(refused(|o| o.scale.shares.as_mut().unwrap().plane = f64::NAN).contains("scale or confidence"));
         assert!(refused(|o| o.scale.reason = None).contains("without a reason"));
         assert!(!path.exists());
         write(&path, &sample()).unwrap();

@@ -71,11 +71,13 @@ impl PlaneBasis {
 /// A local plane of the ground near one object in one frame, in the background's frame.
 ///
 /// Its deviations speak of the ground below the object, which may lie far from the points of the plane.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundPlane {
-    /// Unit normal, towards the camera's side (n_i).
+    /// Unit normal towards the camera's side.
+    #[schemars(with = "[f64; 3]")]
     pub normal: Vector3<f64>,
-    /// A point of the plane (p_i).
+    /// A point of the plane.
+    #[schemars(with = "[f64; 3]")]
     pub point: Point3<f64>,
     /// Ground points that took part.
     pub num_points: usize,

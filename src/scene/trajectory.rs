@@ -32,8 +32,10 @@ pub struct ScaleEstimate {
     /// Evidence for the ratio; `None` in files that do not state it.
     pub support: Option<ScaleSupport>,
     /// Ratio by the camera path, where the vehicle is stationary; it is part of `ratio` and `std`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_path: Option<CameraPathRatio>,
     /// Results of the reference methods for the object before its adjustment; empty unless they were wanted.
+    #[serde(default, skip_serializing_if = "References::is_empty")]
     pub references: References,
 }
 
@@ -173,7 +175,7 @@ pub enum Unit {
 }
 
 /// Where an object is in one frame.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ObjectPose {
     /// The frame.
     pub frame: FrameId,
@@ -184,11 +186,13 @@ pub struct ObjectPose {
     /// The same point of the object in every frame, in the background's frame: the center of the body where
     /// [`ObjectTrajectory::body_center`] is known, otherwise that of its points.
     pub position: [f64; 3],
-    /// Places the object's points into the background's frame (eq. object_to_background_coordinates).
+    /// From the frame of the object's model to that of the background.
     pub world_from_object: Sim3,
     /// Metres per second, where the unit is metric.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub speed: Option<f64>,
-    /// The same and what follows from it in metres; `None` where they are unknown.
+    /// Position and motion in meters; `None` where they are unknown.
+    #[serde(flatten)]
     pub metric: Option<MetricPose>,
 }
 
@@ -212,7 +216,7 @@ impl BodyCenter {
 }
 
 /// One object's trajectory.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ObjectTrajectory {
     /// The object.
     pub id: ObjectId,
@@ -223,17 +227,23 @@ pub struct ObjectTrajectory {
     /// Its scale ratio.
     pub scale: ScaleEstimate,
     /// On what its ground planes rest, and in how many frames.
+    #[serde(default)]
     pub ground: BTreeMap<PlaneBasis, usize>,
     /// The point of the object at the positions; `None` where outlines do not show it: then it is the center of the
     /// points.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body_center: Option<BodyCenter>,
     /// Verdict; `None` if the trajectory was not judged.
+    #[serde(default)]
     pub verdict: Option<Verdict>,
     /// Size in meters; `None` where meters are unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dimensions: Option<Dimensions>,
     /// Path length, displacement and speeds; `None` for fewer than four poses.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
     pub travel: Option<Travel>,
     /// Ascending in time; frames without both cameras are absent.
+    #[serde(rename = "frames")]
     pub poses: Vec<ObjectPose>,
 }
 

@@ -12,15 +12,18 @@
 //! changes its sign; residuals keep their length. Image sizes are not in the file and read as zero.
 
 use std::path::Path;
-use std::str::FromStr;
 
 use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 
+use super::words::{Text, Words};
 use crate::camera::Camera;
-use crate::files;
 use crate::io::IoError;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+
+/// Bytes of the shortest entry: a digit and a blank. Files of less than their counts fail early, or at the field that is
+/// missing.
+const MIN_BYTES: usize = 2;
 
 /// Reads a problem: one camera of its own for every image; camera, image and point ids are the file's indices plus one.
 ///
@@ -28,31 +31,23 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 /// [`IoError`] with path, line and field where the file breaks off, holds what is no finite number, or an index past
 /// the counts in its first line.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
-    let system = |source| IoError::System { action: "read", path: path.to_path_buf(), source };
-    let bytes = files::read_text(path).map_err(system)?;
-    // Bytes that are no text become signs that are no number, and are reported with their line.
-    parse(path, &String::from_utf8_lossy(&bytes))
+    parse(&mut Text::read_file(path)?.words())
 }
 
-/// Reads a problem from text; `path` is for messages only.
-///
-/// # Errors
-/// As [`read`].
-pub fn parse(path: &Path, text: &str) -> Result<Reconstruction, IoError> {
-    let mut words = Words::new(path, text);
-    let num_images = words.count("number of cameras")?;
-    let num_points = words.count("number of points")?;
-    let num_observations = words.count("number of observations")?;
+fn parse(words: &mut Words<'_>) -> Result<Reconstruction, IoError> {
+    let num_images = count(words, "number of cameras")?;
+    let num_points = count(words, "number of points")?;
+    let num_observations = count(words, "number of observations")?;
     let mut seen = Vec::new();
     for _ in 0..num_observations {
-        let image = words.index("camera index", num_images)?;
-        let point = words.index("point index", num_points)?;
-        let pixel = Point2::new(words.number("pixel x")?, -words.number("pixel y")?);
+        let image = index(words, "camera index", num_images)?;
+        let point = index(words, "point index", num_points)?;
+        let pixel = Point2::new(words.finite("pixel x")?, -words.finite("pixel y")?);
         seen.push((image, point, pixel));
     }
     let mut model = Reconstruction::default();
     for index in 0..num_images {
-        let (camera, cam_from_world) = words.camera()?;
+        let (camera, cam_from_world) = camera(words)?;
         let id = index + 1;
         model.cameras.insert(CameraId(id), camera);
         let name = format!("{index:06}");
@@ -60,7 +55,7 @@ pub fn parse(path: &Path, text: &str) -> Result<Reconstruction, IoError> {
         model.images.insert(ImageId(id), image);
     }
     for index in 0..num_points {
-        let position = Point3::new(words.number("point x")?, words.number("point y")?, words.number("point z")?);
+        let position = Point3::from(words.finites("point")?);
         let point = Point3d { position, rgb: [0; 3], error_px: 0.0, track: Vec::new() };
         model.points.insert(Point3dId(u64::from(index) + 1), point);
     }
@@ -80,85 +75,30 @@ fn connect(model: &mut Reconstruction, seen: &[(u32, u32, Point2<f64>)]) {
     }
 }
 
-/// Words of a text with their line numbers.
-struct Words<'a> {
-    path: &'a Path,
-    lines: std::iter::Enumerate<std::str::Lines<'a>>,
-    words: std::str::SplitAsciiWhitespace<'a>,
-    line: usize,
+/// A count; twice as many still have ids.
+fn count(words: &mut Words<'_>, field: &str) -> Result<u32, IoError> {
+    let count = words.count(field, MIN_BYTES)?;
+    u32::try_from(count).ok().filter(|&count| count < u32::MAX / 2).ok_or_else(|| words.error(field, "too large"))
 }
 
-impl<'a> Words<'a> {
-    fn new(path: &'a Path, text: &'a str) -> Self {
-        Self { path, lines: text.lines().enumerate(), words: "".split_ascii_whitespace(), line: 1 }
-    }
-
-    fn next(&mut self, field: &str) -> Result<&'a str, IoError> {
-        loop {
-            if let Some(word) = self.words.next() {
-                return Ok(word);
-            }
-            let Some((index, line)) = self.lines.next() else {
-                return Err(self.fault(field, "the file ends here; it is truncated".into()));
-            };
-            self.line = index + 1;
-            self.words = line.split_ascii_whitespace();
-        }
-    }
-
-    fn parse<T: FromStr>(&mut self, field: &str, kind: &str) -> Result<T, IoError> {
-        let word = self.next(field)?;
-        word.parse().map_err(|_| self.fault(field, format!("{:?}: expected {kind}", shorten(word))))
-    }
-
-    fn count(&mut self, field: &str) -> Result<u32, IoError> {
-        let value: u32 = self.parse(field, "a count")?;
-        if value < u32::MAX / 2 { Ok(value) } else { Err(self.fault(field, format!("{value} is too large"))) }
-    }
-
-    fn index(&mut self, field: &str, count: u32) -> Result<u32, IoError> {
-        let value: u32 = self.parse(field, "an index")?;
-        if value < count {
-            Ok(value)
-        } else {
-            Err(self.fault(
-                field,
-                format!(
-                    "index {value} out of range, count is \
-             {count}"
-                ),
-            ))
-        }
-    }
-
-    fn number(&mut self, field: &str) -> Result<f64, IoError> {
-        let value: f64 = self.parse(field, "a number")?;
-        if value.is_finite() { Ok(value) } else { Err(self.fault(field, format!("{value} is not finite"))) }
-    }
-
-    fn camera(&mut self) -> Result<(Camera, Rigid3), IoError> {
-        let mut vector = |field: &str| Ok(Vector3::new(self.number(field)?, self.number(field)?, self.number(field)?));
-        let (rotation, translation) = (vector("rotation")?, vector("translation")?);
-        let focal = self.number("focal length")?;
-        if focal <= 0.0 {
-            return Err(self.fault("focal length", format!("{focal} is not positive")));
-        }
-        let radial = [self.number("k1")?, self.number("k2")?];
-        let camera = Camera { focal: [focal; 2], principal: [0.0; 2], radial, ..Camera::prior(0, 0) };
-        let cam_from_bal =
-            Rigid3::new(UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI), Vector3::zeros());
-        let bal_from_world = Rigid3::new(UnitQuaternion::from_scaled_axis(rotation), translation);
-        Ok((camera, cam_from_bal * bal_from_world))
-    }
-
-    fn fault(&self, field: &str, problem: String) -> IoError {
-        IoError::Line { path: self.path.to_path_buf(), line: self.line, field: field.into(), problem }
-    }
+fn index(words: &mut Words<'_>, field: &str, count: u32) -> Result<u32, IoError> {
+    let value: u32 = words.number(field)?;
+    let wrong = || words.error(field, format!("index {value} out of range, count is {count}"));
+    (value < count).then_some(value).ok_or_else(wrong)
 }
 
-/// A word for a message: never more than a few characters of a broken file.
-fn shorten(word: &str) -> String {
-    word.chars().take(24).collect()
+fn camera(words: &mut Words<'_>) -> Result<(Camera, Rigid3), IoError> {
+    let (rotation, translation) = (Vector3::from(words.finites("rotation")?), words.finites("translation")?.into());
+    let focal = words.finite("focal length")?;
+    if focal <= 0.0 {
+        return Err(words.error("focal length", format!("{focal} is not positive")));
+    }
+    let radial = [words.finite("k1")?, words.finite("k2")?];
+    let camera = Camera { focal: [focal; 2], principal: [0.0; 2], radial, ..Camera::prior(0, 0) };
+    let cam_from_bal =
+        Rigid3::new(UnitQuaternion::from_scaled_axis(Vector3::x() * std::f64::consts::PI), Vector3::zeros());
+    let bal_from_world = Rigid3::new(UnitQuaternion::from_scaled_axis(rotation), translation);
+    Ok((camera, cam_from_bal * bal_from_world))
 }
 
 #[cfg(test)]
@@ -169,7 +109,7 @@ mod tests {
         0.1\n-0.2\n0.3\n1\n2\n-5\n700\n-0.1\n0.01\n0\n0\n0\n0\n0\n-9\n650\n0\n0\n0.5\n0.25\n-1\n";
 
     fn parse_text(text: &str) -> Result<Reconstruction, IoError> {
-        parse(Path::new("problem.txt"), text)
+        parse(&mut Text::new(Path::new("problem.txt"), text.to_owned()).words())
     }
 
     #[test]
@@ -193,7 +133,7 @@ mod tests {
         for length in 0..last_value {
             match parse_text(&TWO_CAMERAS[..length]) {
                 Err(IoError::Line { line, problem, .. }) => {
-                    assert!(line <= TWO_CAMERAS[..length].lines().count().max(1));
+                    assert!(line <= TWO_CAMERAS[..length].lines().count() + 1);
                     assert!(!problem.is_empty());
                 }
                 other => panic!("cut at {length}: {other:?}"),

@@ -24,7 +24,11 @@ impl Text {
     pub fn read_file(path: &Path) -> Result<Self, IoError> {
         let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
         let content = String::from_utf8(bytes).map_err(|_| IoError::content(path, "not a text file (UTF-8)"))?;
-        Ok(Self { path: path.to_path_buf(), content })
+        Ok(Self::new(path, content))
+    }
+
+    pub fn new(path: &Path, content: String) -> Self {
+        Self { path: path.to_path_buf(), content }
     }
 
     pub fn words(&self) -> Words<'_> {
