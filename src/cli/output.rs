@@ -148,18 +148,8 @@ pub(super) fn show(form: Form, value: &impl Serialize, text: impl FnOnce() -> St
 
 /// Prints to stdout. A reader that has gone away (`| head`) is no failure.
 pub(super) fn print(text: &str) -> Result<(), Failure> {
-    print_all(std::iter::once(Ok(text)))
-}
-
-/// As [`print()`], piece by piece.
-pub(super) fn print_all<T: AsRef<str>>(texts: impl IntoIterator<Item = Result<T, Failure>>) -> Result<(), Failure> {
     let mut stdout = BufWriter::new(io::stdout().lock());
-    for text in texts {
-        if !is_taken(stdout.write_all(printable(text?.as_ref()).as_bytes()))? {
-            return Ok(());
-        }
-    }
-    is_taken(stdout.flush()).map(drop)
+    is_taken(stdout.write_all(printable(text).as_bytes()).and_then(|()| stdout.flush())).map(drop)
 }
 
 /// Returns true if stdout took it; a reader that has gone away takes nothing more.

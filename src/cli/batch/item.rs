@@ -70,8 +70,8 @@ impl<'a> Maker<'a> {
         for index in 0..self.list.len() {
             let entry = self.list.entry(index)?;
             match entry.words.is_empty() {
-                true => self.check_blanks(&entry)?,
-                false => drop(self.item(index, &entry)?),
+                true => self.check_blanks(entry)?,
+                false => drop(self.item(index, entry)?),
             }
         }
         Ok(())
@@ -250,7 +250,7 @@ mod tests {
         let path = folder.path().join("list.txt");
         fs::write(&path, line).unwrap();
         let list = List::open(&path)?;
-        let mut item = Maker::new(&batch(&path, more), &list).item(0, &list.entry(0)?)?;
+        let mut item = Maker::new(&batch(&path, more), &list).item(0, list.entry(0)?)?;
         if let Instances::Masks(masks) = &mut item.options.instances {
             *masks = masks.strip_prefix(folder.path()).unwrap().to_owned();
         }

@@ -3,10 +3,9 @@
 //! A line is a video or a folder of pictures; after a tab, options of its own follow, as on the command line of `run`.
 //! A folder instead of a list represents the videos in it, in the order of their names.
 
+use std::collections::HashMap;
 use std::ffi::{OsStr, OsString};
 use std::fs;
-use std::hash::{BuildHasher, RandomState};
-use std::ops::Range;
 use std::os::unix::ffi::OsStrExt;
 use std::path::{Path, PathBuf};
 
@@ -35,26 +34,17 @@ pub(super) struct Entry {
     pub(super) input: PathBuf,
     /// Options of its own.
     pub(super) words: Vec<String>,
+    /// Its line, or the name of the video.
+    text: OsString,
 }
 
-/// The jobs of a list, or of a folder of videos, in order; never none. Entries are parsed when they are asked for, so
-/// that a list takes little more memory than its file.
+/// The jobs of a list, or of a folder of videos, in order; never none.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) struct List {
     /// The list, or the folder.
     pub(super) path: PathBuf,
     folder: PathBuf,
-    jobs: Jobs,
-}
-
-#[derive(Clone, Debug, PartialEq, Eq)]
-enum Jobs {
-    /// A list's bytes, and of each line that names a job its number from 1 and its range.
-    Lines(Vec<u8>, Vec<(usize, Range<usize>)>),
-    /// Names of the videos in a folder.
-    Videos(Vec<OsString>),
-    /// The one job that the parent process gives: number and text of its line, or number and name of the video.
-    Given(usize, OsString),
+    entries: Vec<Entry>,
 }
 
 impl List {
@@ -63,15 +53,15 @@ impl List {
     /// # Errors
     /// Wrong use: a line that cannot be meant, two jobs of one name, a name that no folder can have, or no job at all.
     pub(super) fn open(path: &Path) -> Result<Self, Failure> {
-        let jobs = match path.is_dir() {
-            true => Jobs::Videos(videos_in(path)?),
-            false => {
-                let bytes = files::read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
-                let lines = lines(&bytes);
-                Jobs::Lines(bytes, lines)
-            }
-        };
-        let list = Self { path: path.to_owned(), folder: folder(path), jobs };
+        let mut list = Self::without_jobs(path);
+        if path.is_dir() {
+            let names = (1..).zip(videos_in(path)?);
+            list.entries = names.map(|(number, name)| list.video(number, &name)).collect::<Result<_, _>>()?;
+        } else {
+            let bytes = files::read_text(path).with_context(|| format!("{}: cannot be read", path.display()))?;
+            let lines = lines(&bytes).map(|(number, line)| list.line(number, line));
+            list.entries = lines.collect::<Result<_, _>>()?;
+        }
         list.check()?;
         Ok(list)
     }
@@ -87,29 +77,29 @@ impl List {
         let parsed = parts.and_then(|(number, text)| Some((std::str::from_utf8(number).ok()?.parse().ok()?, text)));
         let (number, text) =
             parsed.ok_or_else(|| Failure::Usage("--entry: internal flag, not for users".to_owned()))?;
-        let jobs = Jobs::Given(number, OsStr::from_bytes(text).to_owned());
-        Ok(Self { path: path.to_owned(), folder: folder(path), jobs })
+        let mut list = Self::without_jobs(path);
+        let entry = if path.is_dir() { list.video(number, OsStr::from_bytes(text)) } else { list.line(number, text) };
+        list.entries = vec![entry?];
+        Ok(list)
+    }
+
+    fn without_jobs(path: &Path) -> Self {
+        // Relative paths begin at the folder of a list.
+        let folder = if path.is_dir() { path } else { path.parent().unwrap_or(Path::new("")) };
+        Self { path: path.to_owned(), folder: folder.to_owned(), entries: Vec::new() }
     }
 
     /// A job as text, for [`Self::of_handed`] in another process.
     pub(super) fn handed(&self, index: usize) -> OsString {
-        let (number, text) = match &self.jobs {
-            Jobs::Lines(bytes, lines) => (lines[index].0, OsStr::from_bytes(&bytes[lines[index].1.clone()])),
-            Jobs::Videos(names) => (index + 1, names[index].as_os_str()),
-            Jobs::Given(number, text) => (*number, text.as_os_str()),
-        };
-        let mut handed = OsString::from(format!("{number} "));
+        let Entry { line, text, .. } = &self.entries[index];
+        let mut handed = OsString::from(format!("{line} "));
         handed.push(text);
         handed
     }
 
     /// Number of jobs.
     pub(super) fn len(&self) -> usize {
-        match &self.jobs {
-            Jobs::Lines(_, lines) => lines.len(),
-            Jobs::Videos(names) => names.len(),
-            Jobs::Given(..) => 1,
-        }
+        self.entries.len()
     }
 
     /// Folder at which relative paths of the list begin.
@@ -122,23 +112,15 @@ impl List {
             let wanted = if self.path.is_dir() { "no video in the folder" } else { "no video in the list" };
             return Err(Failure::Usage(format!("{}: {wanted}", self.path.display())));
         }
-        let hashes = RandomState::new();
-        let mut names = Vec::with_capacity(self.len());
-        for index in 0..self.len() {
-            let entry = self.entry(index)?;
-            check_name(&entry.name).map_err(|wrong| at(&self.path, entry.line, &wrong))?;
-            names.push((hashes.hash_one(&entry.name), index));
-        }
-        names.sort_unstable();
-        let same_hash = names.windows(2).filter(|pair| pair[0].0 == pair[1].0);
-        for (first, second) in same_hash.map(|pair| (pair[0].1, pair[1].1)) {
-            let (first, second) = (self.entry(first)?, self.entry(second)?);
-            if first.name == second.name {
+        let mut lines = HashMap::with_capacity(self.len());
+        for Entry { line, name, .. } in &self.entries {
+            check_name(name).map_err(|wrong| at(&self.path, *line, &wrong))?;
+            if let Some(first) = lines.insert(name, *line) {
                 let wrong = format!(
-                    "output folder '{}' is also that of line {}; give it another name: append a tab and --name NAME",
-                    second.name, first.line
+                    "output folder '{name}' is also that of line {first}; give it another name: append a tab and \
+                     --name NAME"
                 );
-                return Err(at(&self.path, second.line, &wrong));
+                return Err(at(&self.path, *line, &wrong));
             }
         }
         Ok(())
@@ -147,17 +129,11 @@ impl List {
     /// The job of an index.
     ///
     /// # Errors
-    /// Wrong use: there is none, or its line cannot be meant.
-    pub(super) fn entry(&self, index: usize) -> Result<Entry, Failure> {
-        let parsed = match &self.jobs {
-            Jobs::Lines(bytes, lines) => lines.get(index).map(|(k, range)| self.line(*k, &bytes[range.clone()])),
-            Jobs::Videos(names) => names.get(index).map(|name| self.video(index + 1, name)),
-            Jobs::Given(k, name) if self.path.is_dir() => Some(self.video(*k, name)),
-            Jobs::Given(k, line) => Some(self.line(*k, line.as_bytes())),
-        };
-        parsed.unwrap_or_else(|| {
+    /// Wrong use: there is none.
+    pub(super) fn entry(&self, index: usize) -> Result<&Entry, Failure> {
+        self.entries.get(index).ok_or_else(|| {
             let (path, number) = (self.path.display(), self.len());
-            Err(Failure::Usage(format!("--index {index}: {path} has {number} jobs; give 0 to {}", number - 1)))
+            Failure::Usage(format!("--index {index}: {path} has {number} jobs; give 0 to {}", number - 1))
         })
     }
 
@@ -165,16 +141,11 @@ impl List {
         entry(number, line, &self.folder).map_err(|wrong| at(&self.path, number, &wrong))
     }
 
-    fn video(&self, number: usize, name: &OsStr) -> Result<Entry, Failure> {
-        let input = self.folder.join(name);
+    fn video(&self, number: usize, text: &OsStr) -> Result<Entry, Failure> {
+        let input = self.folder.join(text);
         let name = name_of(&input).ok_or_else(|| at(&self.path, number, "file name is not UTF-8; rename it"))?;
-        Ok(Entry { line: number, name, input, words: Vec::new() })
+        Ok(Entry { line: number, name, input, words: Vec::new(), text: text.to_owned() })
     }
-}
-
-/// Where relative paths of a list begin, or where the videos of a folder lie.
-fn folder(path: &Path) -> PathBuf {
-    if path.is_dir() { path.to_owned() } else { path.parent().unwrap_or(Path::new("")).to_owned() }
 }
 
 /// Failure at a line.
@@ -185,17 +156,10 @@ pub(super) fn at(list: &Path, line: usize, wrong: &str) -> Failure {
     }
 }
 
-/// Number, from 1, and range of every line that names a job, without the blanks around it.
-fn lines(bytes: &[u8]) -> Vec<(usize, Range<usize>)> {
-    let (mut found, mut start) = (Vec::new(), 0);
-    for (k, line) in bytes.split(|&byte| byte == b'\n').enumerate() {
-        let (trimmed, begin) = (line.trim_ascii(), start + line.len() - line.trim_ascii_start().len());
-        if !trimmed.is_empty() && !trimmed.starts_with(b"#") {
-            found.push((k + 1, begin..begin + trimmed.len()));
-        }
-        start += line.len() + 1;
-    }
-    found
+/// Number, from 1, and text of every line that names a job, without the blanks around it.
+fn lines(bytes: &[u8]) -> impl Iterator<Item = (usize, &[u8])> {
+    let lines = (1..).zip(bytes.split(|&byte| byte == b'\n').map(<[u8]>::trim_ascii));
+    lines.filter(|(_, line)| !line.is_empty() && !line.starts_with(b"#"))
 }
 
 fn entry(number: usize, line: &[u8], folder: &Path) -> Result<Entry, String> {
@@ -210,7 +174,7 @@ fn entry(number: usize, line: &[u8], folder: &Path) -> Result<Entry, String> {
         Some(name) => name,
         None => name_of(&input).ok_or("no name can be derived from this path; append a tab and --name NAME")?,
     };
-    Ok(Entry { line: number, name, input, words })
+    Ok(Entry { line: number, name, input, words, text: OsStr::from_bytes(line).to_owned() })
 }
 
 /// Name of a video's results: its file name without the ending; that of a folder unchanged.
@@ -263,12 +227,8 @@ mod tests {
         List::open(&path)
     }
 
-    fn entries(list: &List) -> Vec<Entry> {
-        (0..list.len()).map(|index| list.entry(index).unwrap()).collect()
-    }
-
     fn names(list: &List) -> Vec<String> {
-        entries(list).into_iter().map(|entry| entry.name).collect()
+        list.entries.iter().map(|entry| entry.name.clone()).collect()
     }
 
     fn refusal(text: &[u8]) -> String {
@@ -282,7 +242,7 @@ mod tests {
     fn comments_empty_lines_and_marks_of_other_systems_are_passed_over() {
         let list = list(b"\xef\xbb\xbf# flights\r\n\r\nday 1/a b.MP4\r\n  c.mov\t--end 8f\n\nframes.v2").unwrap();
         assert_eq!(names(&list), ["a b", "c", "frames.v2"]);
-        let entries = entries(&list);
+        let entries = &list.entries;
         assert_eq!(entries.iter().map(|entry| entry.line).collect::<Vec<_>>(), [3, 4, 6]);
         assert_eq!(entries[0].input, list.folder.join("day 1/a b.MP4"));
         assert_eq!(entries[1].words, ["--end", "8f"]);
@@ -292,7 +252,7 @@ mod tests {
     fn an_absolute_path_stays_and_a_name_can_be_given() {
         let list = list(b"/data/a.mp4\n/other/a.mp4\t--name other --seed 3").unwrap();
         assert_eq!(names(&list), ["a", "other"]);
-        let entries = entries(&list);
+        let entries = &list.entries;
         assert_eq!(entries[1].input, Path::new("/other/a.mp4"));
         assert_eq!(entries[1].words, ["--seed", "3"]);
     }
@@ -324,10 +284,10 @@ mod tests {
             let num_lines = bytes.split(|&byte| byte == b'\n').count();
             if let Ok(list) = list(&bytes) {
                 let is_whole = |entry: &Entry| (1..=num_lines).contains(&entry.line) && check_name(&entry.name).is_ok();
-                let of_child = |index| List::of_handed(&list.path, &list.handed(index))?.entry(0);
-                for (index, entry) in entries(&list).into_iter().enumerate() {
-                    prop_assert!(is_whole(&entry), "{list:?}");
-                    prop_assert_eq!(of_child(index).ok(), Some(entry));
+                let of_child = |index| List::of_handed(&list.path, &list.handed(index)).ok()?.entries.pop();
+                for (index, entry) in list.entries.iter().enumerate() {
+                    prop_assert!(is_whole(entry), "{list:?}");
+                    prop_assert_eq!(of_child(index), Some(entry.clone()));
                 }
             }
         }

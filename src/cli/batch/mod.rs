@@ -71,7 +71,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
             args.parent.map_or(Ok(()), end_with_parent)?;
             let arguments = words::alone(arguments, index, &[]);
             let entry = list.entry(if args.entry.is_some() { 0 } else { index })?;
-            maker.item(index, &entry)?.work(&arguments, form, talk)
+            maker.item(index, entry)?.work(&arguments, form, talk)
         }
         (None, Some(jobs)) => {
             let common = &args.job.common;

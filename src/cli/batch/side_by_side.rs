@@ -78,7 +78,7 @@ pub(super) fn run(
         while running.len() < most {
             let Some(index) = waiting.next() else { break };
             let entry = list.entry(index)?;
-            match take(maker, index, &entry, &|item| start(item, list, arguments, &part)) {
+            match take(maker, index, entry, &|item| start(item, list, arguments, &part)) {
                 Ok(job) => running.push(job),
                 Err(fate) => tell(fate, &entry.name, None),
             }
@@ -118,7 +118,7 @@ fn take(
 /// Looks again for results of jobs that were not done: another process may have done them in the meantime.
 fn look_again(list: &List, maker: &Maker, fates: &mut [Fate]) -> Result<(), Failure> {
     for fate in fates.iter_mut().filter(|fate| !matches!(fate.state, State::Done | State::Failed)) {
-        let Ok(item) = maker.item(fate.index, &list.entry(fate.index)?) else { continue };
+        let Ok(item) = maker.item(fate.index, list.entry(fate.index)?) else { continue };
         let now = item.folder_state();
         if matches!(now, FolderState::Done | FolderState::Running) {
             *fate = Fate::of(fate.index, now);

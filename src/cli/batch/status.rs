@@ -1,17 +1,16 @@
 //! State of every job.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use rayon::iter::{IndexedParallelIterator, IntoParallelRefIterator, ParallelExtend, ParallelIterator};
-use serde::ser::{Error as _, SerializeMap, SerializeSeq};
-use serde::{Serialize, Serializer};
+use serde::Serialize;
 use serde_json::{Value, json};
 
 use super::Args;
 use super::item::Maker;
 use super::list::List;
 use crate::cli::job::JobArgs;
-use crate::cli::output::{Failure, Form, print_all, print_json, show};
+use crate::cli::output::{Failure, Form, print, print_json, show};
 use crate::pipeline::{FolderState, is_begun};
 
 /// Jobs whose options are in memory at a time: enough that no thread waits for work, and some MiB.
@@ -50,7 +49,7 @@ impl State {
     }
 }
 
-/// State of a job. Of a list of a million there are as many of these.
+/// State of a job of the list.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Fate {
     pub(super) index: usize,
@@ -67,7 +66,7 @@ struct Shown<'a> {
     index: usize,
     name: &'a str,
     input: &'a Path,
-    output: &'a Path,
+    output: PathBuf,
     state: State,
     reason: Option<&'a str>,
     exit_code: Option<u8>,
@@ -116,23 +115,23 @@ pub(super) fn run(args: &Args, list: &List, maker: &Maker, form: Form) -> Result
 /// The options of a line whose job was begun. Those of others are only checked.
 fn line(list: &List, maker: &Maker, index: usize) -> Result<Option<JobArgs>, Failure> {
     let entry = list.entry(index)?;
-    let is_begun = is_begun(&maker.output(&entry));
+    let is_begun = is_begun(&maker.output(entry));
     match is_begun || !entry.words.is_empty() {
-        true => Ok(Some(maker.parse(&entry)?).filter(|_| is_begun)),
+        true => Ok(Some(maker.parse(entry)?).filter(|_| is_begun)),
         false => Ok(None),
     }
 }
 
 /// Prints the state of all jobs.
 fn show_all(list: &List, maker: &Maker, fates: &[Fate], failure: Option<&Failure>, form: Form) -> Result<(), Failure> {
+    let lines = || -> Result<String, Failure> {
+        let line = |fate: &Fate| Ok(fate.line(&list.entry(fate.index)?.name));
+        Ok(fates.iter().map(line).collect::<Result<String, Failure>>()? + &counted(fates) + "\n")
+    };
     match form {
-        Form::Json => print_json(&AllJobs { list, maker, fates, failure }),
+        Form::Json => print_json(&AllJobs::of(list, maker, fates, failure)?),
         Form::Nothing => Ok(()),
-        Form::Text => {
-            let line = |fate: &Fate| -> Result<String, Failure> { Ok(fate.line(&list.entry(fate.index)?.name)) };
-            let counts = std::iter::once_with(|| Ok(counted(fates) + "\n"));
-            print_all(fates.iter().map(line).chain(counts))
-        }
+        Form::Text => print(&lines()?),
     }
 }
 
@@ -150,40 +149,25 @@ pub(super) fn show_counts(
     }
 }
 
-/// `{"jobs": [...], "counts": {...}, "error": {...}}`, serialized job by job.
+/// State of all jobs, as JSON shows it.
+#[derive(Serialize)]
 struct AllJobs<'a> {
-    list: &'a List,
-    maker: &'a Maker<'a>,
-    fates: &'a [Fate],
-    failure: Option<&'a Failure>,
+    jobs: Vec<Shown<'a>>,
+    counts: serde_json::Map<String, Value>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    error: Option<Value>,
 }
 
-impl Serialize for AllJobs<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(None)?;
-        map.serialize_entry("jobs", &EachJob(self))?;
-        map.serialize_entry("counts", &counts(self.fates))?;
-        if let Some(failure) = self.failure {
-            map.serialize_entry("error", &failure.as_json())?;
-        }
-        map.end()
-    }
-}
-
-struct EachJob<'a>(&'a AllJobs<'a>);
-
-impl Serialize for EachJob<'_> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let AllJobs { list, maker, fates, .. } = self.0;
-        let mut jobs = serializer.serialize_seq(Some(fates.len()))?;
-        for fate in *fates {
-            let entry = list.entry(fate.index).map_err(S::Error::custom)?;
+impl<'a> AllJobs<'a> {
+    fn of(list: &'a List, maker: &Maker, fates: &'a [Fate], failure: Option<&Failure>) -> Result<Self, Failure> {
+        let shown = |fate: &'a Fate| {
             let Fate { index, state, ref reason, exit_code } = *fate;
-            let (name, input, output) = (entry.name.as_str(), entry.input.as_path(), maker.output(&entry));
-            let (output, reason) = (output.as_path(), reason.as_deref());
-            jobs.serialize_element(&Shown { index, name, input, output, state, reason, exit_code })?;
-        }
-        jobs.end()
+            let entry = list.entry(index)?;
+            let (name, input, output) = (entry.name.as_str(), entry.input.as_path(), maker.output(entry));
+            Ok(Shown { index, name, input, output, state, reason: reason.as_deref(), exit_code })
+        };
+        let jobs = fates.iter().map(shown).collect::<Result<_, Failure>>()?;
+        Ok(Self { jobs, counts: counts(fates), error: failure.map(Failure::as_json) })
     }
 }
 
