@@ -18,7 +18,7 @@ const MAX_POINTS: usize = 500;
 const GAP_STEPS: f64 = 1.6;
 
 /// One line.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Line {
     pub label: String,
     /// A CSS colour.
@@ -43,7 +43,7 @@ pub(super) struct Level {
 }
 
 /// A chart over time.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(super) struct Chart {
     pub title: String,
     pub caption: String,
@@ -303,7 +303,7 @@ mod tests {
     use super::*;
 
     fn line(points: Vec<(f64, f64)>) -> Line {
-        Line { label: "a".into(), colour: "red".into(), points, dots: false, band: Vec::new(), raw: Vec::new() }
+        Line { label: "a".into(), colour: "red".into(), points, ..Line::default() }
     }
 
     fn timeline(end: u32) -> Timeline {
@@ -312,7 +312,7 @@ mod tests {
 
     fn chart(lines: Vec<Line>) -> Chart {
         let (title, caption, unit) = ("t".into(), "c".into(), "m".into());
-        Chart { title, caption, unit, lines, levels: Vec::new(), from_zero: false }
+        Chart { title, caption, unit, lines, ..Chart::default() }
     }
 
     #[test]

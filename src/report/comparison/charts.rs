@@ -19,7 +19,7 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
             other.images.iter().filter_map(|image| Some((place(&image.name)?, value(image)?))).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
         let (label, colour) = (other.subject.name.clone(), colour(k + 1).to_owned());
-        Line { label, colour, points, dots: names.len() < MANY_IMAGES, band: Vec::new(), raw: Vec::new() }
+        Line { label, colour, points, dots: names.len() < MANY_IMAGES, ..Line::default() }
     };
     let of_others = |value: &dyn Fn(&ImageDifference) -> Option<f64>| {
         comparison.others.iter().enumerate().map(|other| line(other, value)).collect::<Vec<_>>()
@@ -35,8 +35,8 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
         caption: caption.into(),
         unit: unit.into(),
         lines,
-        levels: Vec::new(),
         from_zero: true,
+        ..Chart::default()
     };
     let end = names.len().saturating_sub(1).max(1) as f64;
     [
@@ -62,9 +62,7 @@ pub(in crate::report) fn histograms(sides: &[(&str, &ModelFigures, &str)]) -> Ve
             label: (*name).to_owned(),
             colour: (*colour).to_owned(),
             points: shares(&bins(figures), start, step),
-            dots: false,
-            band: Vec::new(),
-            raw: Vec::new(),
+            ..Line::default()
         };
         sides.iter().map(line).collect::<Vec<_>>()
     };
@@ -76,16 +74,16 @@ pub(in crate::report) fn histograms(sides: &[(&str, &ModelFigures, &str)]) -> Ve
                 .into(),
         unit: "%".into(),
         lines: lines(&|figures| figures.errors.clone(), 0.5 * ERROR_BIN_PX, ERROR_BIN_PX),
-        levels: Vec::new(),
         from_zero: true,
+        ..Chart::default()
     };
     let tracks = Chart {
         title: "Track lengths".into(),
         caption: "Share of the points by number of observing images; the last bin holds all longer tracks.".into(),
         unit: "%".into(),
         lines: lines(&|figures| figures.track_lengths.clone(), 2.0, 1.0),
-        levels: Vec::new(),
         from_zero: true,
+        ..Chart::default()
     };
     let last = sides.iter().map(|(_, f, _)| f.track_lengths.len()).max().unwrap_or(1) as f64 + 1.0;
     let widest = ERROR_BIN_PX * NUM_ERROR_BINS as f64;

@@ -89,9 +89,7 @@ impl Charts<'_> {
             label: (*name).clone(),
             colour: css_colour(object_colour(object.id)),
             points: points(object),
-            dots: false,
-            band: Vec::new(),
-            raw: Vec::new(),
+            ..Line::default()
         };
         self.objects.iter().map(line).collect()
     }
@@ -125,8 +123,7 @@ impl Charts<'_> {
                 .into(),
             unit: self.ruler().unit.into(),
             lines: self.lines(points),
-            levels: Vec::new(),
-            from_zero: false,
+            ..Chart::default()
         }
     }
 
@@ -142,8 +139,7 @@ impl Charts<'_> {
                     .into(),
             unit: self.ruler().unit.into(),
             lines: self.lines(|object| self.per_pose(object, |pose| height(object.id, pose))),
-            levels: Vec::new(),
-            from_zero: false,
+            ..Chart::default()
         }
     }
 
@@ -158,8 +154,8 @@ impl Charts<'_> {
             caption: caption.into(),
             unit: unit.into(),
             lines: self.smoothed(quantity),
-            levels: Vec::new(),
             from_zero: matches!(quantity, Quantity::Speed),
+            ..Chart::default()
         };
         let num_shown = self.measured().count();
         let thin = if num_shown > MAX_RAW { "" } else { " Thin line: raw frame-to-frame speed." };
@@ -237,8 +233,8 @@ impl Charts<'_> {
             caption: caption.into(),
             unit: self.timeline.speed_unit(ruler.unit),
             lines: self.lines(|object| object.trajectory.map(speeds).unwrap_or_default()),
-            levels: Vec::new(),
             from_zero: true,
+            ..Chart::default()
         }
     }
 
@@ -274,9 +270,7 @@ impl Charts<'_> {
             label: "Background".into(),
             colour: CAMERA.into(),
             points: errors(&self.data.background),
-            dots: false,
-            band: Vec::new(),
-            raw: Vec::new(),
+            ..Line::default()
         };
         let objects = self.lines(|object| object.model.as_ref().map(&errors).unwrap_or_default());
         Chart {
@@ -284,8 +278,8 @@ impl Charts<'_> {
             caption: "Mean distance between observed and reprojected points, per frame.".into(),
             unit: "px".into(),
             lines: std::iter::once(background).chain(objects).collect(),
-            levels: Vec::new(),
             from_zero: true,
+            ..Chart::default()
         }
     }
 }
