@@ -12,6 +12,7 @@ use std::path::Path;
 use nalgebra::{Point2, Point3};
 
 use super::facts::raw_speed;
+use super::results::FRAMES_PER_S;
 use super::write::Pictures;
 use super::{ExportError, RegisteredFrame, Results};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
@@ -28,8 +29,6 @@ const LINE: f64 = 0.006;
 /// Nothing nearer to the camera is drawn, as a share of the vehicle's own distance: lines close to its centre run
 /// through the whole picture.
 const NEAREST: f64 = 0.02;
-/// Pictures per second of an input without times, as are 25 frames of one.
-const FRAMES_PER_S: f64 = 25.0;
 /// Colour of the plate with the time.
 const DARK: [u8; 3] = [24, 24, 28];
 
@@ -49,12 +48,12 @@ pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Resu
         let masks = masks_of(pictures.folder(), &frame, picture.dimensions())?;
         let drawn = annotator.draw(&picture, &frame, &masks)?;
         if encoder.is_none() {
-            start_s = annotator.seconds(&frame);
+            start_s = results.seconds(frame.time_s);
             let rate = pictures.rate().unwrap_or(FRAMES_PER_S);
             encoder = Some(Encoder::create(path, drawn.dimensions(), rate).map_err(encode)?);
         }
         if let Some(encoder) = &mut encoder {
-            encoder.add(&drawn, annotator.seconds(&frame) - start_s).map_err(encode)?;
+            encoder.add(&drawn, results.seconds(frame.time_s) - start_s).map_err(encode)?;
         }
         pictures.step();
     }
@@ -88,14 +87,6 @@ impl<'a> Annotator<'a> {
         let ways = results.trajectories.objects.iter().map(|object| (object.id, way_on_ground(results, object)));
         let views = results.views.iter().map(|view| (view.frame.name.as_str(), view)).collect();
         Self { results, views, ways: ways.collect() }
-    }
-
-    /// When a frame is shown.
-    fn seconds(&self, frame: &Frame) -> f64 {
-        match self.results.time_base {
-            TimeBase::Seconds => frame.time_s,
-            TimeBase::Frames => frame.time_s / FRAMES_PER_S,
-        }
     }
 
     fn draw(&self, picture: &RgbImage, frame: &Frame, masks: &[(ObjectId, Mask)]) -> Result<RgbImage, ExportError> {

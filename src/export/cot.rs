@@ -9,11 +9,12 @@ use std::path::Path;
 
 use quick_xml::Writer;
 
+use super::results::Fix;
 use super::xml::{self, Xml, allowed, element};
 use super::{ExportError, Results};
 use crate::io::atomic;
 use crate::math::median;
-use crate::scene::{GroundPosition, GroundTrack, GroundTrackTrust, MapPlace, MetricPose, ObjectPose, ObjectTrajectory};
+use crate::scene::{GroundTrack, GroundTrackTrust, ObjectId, ObjectTrajectory};
 use crate::telemetry;
 
 /// Type of the events: something of unknown affiliation on the ground that is a civilian vehicle.
@@ -83,17 +84,11 @@ impl CotEvent {
 
 /// A vehicle with its events.
 struct Vehicle {
-    id: String,
-    class: String,
+    id: ObjectId,
+    /// Class and id.
+    name: String,
     remarks: String,
     fixes: Vec<Fix>,
-}
-
-/// A vehicle at a time.
-struct Fix {
-    time_s: f64,
-    place: MapPlace,
-    metric: Option<MetricPose>,
 }
 
 /// Writes the events, ascending in time.
@@ -129,48 +124,37 @@ fn vehicles(results: &Results) -> Vec<Vehicle> {
         !is_placed && !is_bad
     };
     let of_objects = trajectories.objects.iter().filter(trusted).map(|object| Vehicle {
-        id: object.id.to_string(),
-        class: object.class.clone(),
+        id: object.id,
+        name: object.name(),
         remarks: format!("verdict: {}", object.verdict.as_ref().map_or("not judged", |found| found.state.name())),
-        fixes: object.poses.iter().filter_map(|pose| pose_fix(results, pose)).collect(),
+        fixes: results.fixes_of(&object.poses),
     });
     let of_tracks = trajectories.ground_tracks.iter().filter(usable).map(|track| Vehicle {
-        id: track.id.to_string(),
-        class: track.class.clone(),
+        id: track.id,
+        name: track.name(),
         remarks: format!(
             "ground track ({}), verdict: {}",
             track.method.name(),
             track.verdict.as_ref().map_or("not judged", |found| found.state.name())
         ),
-        fixes: track.positions.iter().filter_map(|position| contact_fix(results, position)).collect(),
+        fixes: results.fixes_of_contacts(&track.positions),
     });
     of_objects.chain(of_tracks).collect()
 }
 
-fn pose_fix(results: &Results, pose: &ObjectPose) -> Option<Fix> {
-    Some(Fix { time_s: pose.time_s, place: results.place_of(pose)?, metric: pose.metric })
-}
-
-fn contact_fix(results: &Results, position: &GroundPosition) -> Option<Fix> {
-    let place = results.place_of_contact(position)?;
-    Some(Fix { time_s: position.time_s, place, metric: position.metric })
-}
-
 fn described(results: &Results, vehicle: &Vehicle, fix: &Fix, start_s: f64, valid_s: f64) -> CotEvent {
-    let class = if vehicle.class.is_empty() { "vehicle" } else { &vehicle.class };
-    let [east, north, up] = fix.place.place_std_m;
     let known = |value: f64| results.knows_height().then_some(value);
     CotEvent {
         uid: format!("tractrix.{}.{}", results.title, vehicle.id),
-        callsign: format!("{class} {}", vehicle.id),
+        callsign: vehicle.name.clone(),
         remarks: vehicle.remarks.clone(),
         time_s: start_s + fix.time_s,
         valid_s,
         latitude: fix.place.latitude,
         longitude: fix.place.longitude,
         height_m: known(fix.place.height_m),
-        horizontal_std_m: east.hypot(north),
-        vertical_std_m: known(up),
+        horizontal_std_m: fix.place.horizontal_std_m(),
+        vertical_std_m: known(fix.place.place_std_m[2]),
         track: fix.metric.as_ref().and_then(|metric| metric.motion).map(|motion| {
             // A vehicle that backs up moves against its heading.
             let turn = if motion.speed_m_s < 0.0 { 180.0 } else { 0.0 };

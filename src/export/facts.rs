@@ -4,8 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::scene::{
-    Dimensions, Estimate, FrameId, GroundPosition, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, TimeBase,
-    Travel,
+    Dimensions, Estimate, FrameId, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, TimeBase, Travel,
 };
 
 /// A vehicle's way in a few figures.
@@ -52,65 +51,53 @@ pub struct Facts {
 impl Facts {
     /// Of a trajectory.
     pub fn of(object: &ObjectTrajectory, time_base: TimeBase) -> Self {
-        let (first, last) = (object.poses.first(), object.poses.last());
-        let time = |pose: Option<&ObjectPose>| pose.filter(|_| time_base == TimeBase::Seconds).map(|pose| pose.time_s);
-        let (first_time_s, last_time_s) = (time(first), time(last));
-        let duration_s = first_time_s.zip(last_time_s).map(|(first, last)| last - first);
+        let verdict = object.verdict.as_ref();
         Self {
             vehicle: object.id,
             class: object.class.clone(),
             confidence: object.confidence,
-            verdict: object.verdict.as_ref().map(|verdict| verdict.state.name()),
-            doubt: object
-                .verdict
-                .as_ref()
-                .and_then(|verdict| verdict.complaints().next())
-                .map(|doubt| doubt.says.clone()),
-            num_frames: object.poses.len(),
-            first_frame: first.map(|pose| pose.frame),
-            last_frame: last.map(|pose| pose.frame),
-            first_time_s,
-            last_time_s,
-            duration_s,
+            verdict: verdict.map(|verdict| verdict.state.name()),
+            doubt: verdict.and_then(|verdict| verdict.complaints().next()).map(|doubt| doubt.says.clone()),
             dimensions: object.dimensions.unwrap_or_default(),
-            ..Self::default()
+            ..Self::between(object.poses.iter().map(|pose| (pose.frame, pose.time_s)), object.travel, time_base)
         }
-        .with_travel(object.travel)
     }
 
     /// Of a ground track; the verdict is in words of its own, and the doubt its reason.
     pub fn of_ground_track(track: &GroundTrack, time_base: TimeBase) -> Self {
-        let (first, last) = (track.positions.first(), track.positions.last());
-        let time =
-            |at: Option<&GroundPosition>| at.filter(|_| time_base == TimeBase::Seconds).map(|position| position.time_s);
-        let (first_time_s, last_time_s) = (time(first), time(last));
         Self {
             vehicle: track.id,
             class: track.class.clone(),
             confidence: track.confidence,
             verdict: track.verdict.as_ref().map(|verdict| verdict.state.name()),
             doubt: track.verdict.as_ref().map(|verdict| verdict.says.clone()),
-            num_frames: track.positions.len(),
-            first_frame: first.map(|position| position.frame),
-            last_frame: last.map(|position| position.frame),
+            ..Self::between(track.positions.iter().map(|at| (at.frame, at.time_s)), track.travel, time_base)
+        }
+    }
+
+    /// Properties that follow from the frames, their times and the travel.
+    fn between(
+        frames: impl ExactSizeIterator<Item = (FrameId, f64)> + DoubleEndedIterator + Clone,
+        travel: Option<Travel>,
+        time_base: TimeBase,
+    ) -> Self {
+        let (first, last) = (frames.clone().next(), frames.clone().next_back());
+        let time = |at: Option<(FrameId, f64)>| at.filter(|_| time_base == TimeBase::Seconds).map(|(_, time_s)| time_s);
+        let (first_time_s, last_time_s) = (time(first), time(last));
+        Self {
+            num_frames: frames.len(),
+            first_frame: first.map(|(frame, _)| frame),
+            last_frame: last.map(|(frame, _)| frame),
             first_time_s,
             last_time_s,
             duration_s: first_time_s.zip(last_time_s).map(|(first, last)| last - first),
-            dimensions: Dimensions::default(),
-            ..Self::default()
-        }
-        .with_travel(track.travel)
-    }
-
-    fn with_travel(self, travel: Option<Travel>) -> Self {
-        Self {
             path_units: travel.map(|travel| travel.path_units.value),
             path_std_units: travel.map(|travel| travel.path_units.std),
             path_m: travel.and_then(|travel| travel.path_m),
             displacement_m: travel.and_then(|travel| travel.displacement_m),
             mean_speed_m_s: travel.and_then(|travel| travel.mean_speed_m_s),
             max_speed_m_s: travel.and_then(|travel| travel.max_speed_m_s),
-            ..self
+            ..Self::default()
         }
     }
 }

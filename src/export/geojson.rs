@@ -7,31 +7,25 @@ use std::path::Path;
 
 use serde_json::{Map, Value, json};
 
+use super::results::Fix;
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
-use crate::scene::{GroundPosition, GroundTrack, MapPlace, MetricPose, ObjectPose};
+use crate::scene::{GroundTrack, MapPlace, MetricPose};
 
 /// Kind of the features of ground tracks.
 const GROUND_TRACK: &str = "ground-track";
-
-/// A place and the time of the video at which something is there.
-pub(super) struct Fix {
-    pub(super) place: MapPlace,
-    pub(super) image: String,
-    pub(super) time_s: f64,
-}
 
 /// The ways: one feature per vehicle, and one of the camera.
 pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| {
         let facts = Facts::of(object, results.time_base);
-        way(&vehicle_fixes(results, &object.poses), results, &clock, vehicle_properties(&facts))
+        way(&results.fixes_of(&object.poses), results, &clock, vehicle_properties(&facts))
     });
     let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| {
-        way(&contact_fixes(results, &track.positions), results, &clock, ground_track_properties(results, track))
+        way(&results.fixes_of_contacts(&track.positions), results, &clock, ground_track_properties(results, track))
     });
-    let camera = way(&camera_fixes(results), results, &clock, properties(json!({ "kind": "camera" })));
+    let camera = way(&results.camera_fixes(), results, &clock, properties(json!({ "kind": "camera" })));
     Ok(atomic::write_json(path, &collection(results, vehicles.chain(ground_tracks).chain([camera]).collect()))?)
 }
 
@@ -40,55 +34,26 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
     let clock = results.clock();
     let mut features = Vec::new();
     for object in &results.trajectories.objects {
-        for pose in &object.poses {
-            let Some(place) = results.place_of(pose) else { continue };
-            let who = json!({ "kind": "vehicle", "vehicle": object.id, "class": object.class });
-            let motion = motion(pose.metric.as_ref());
-            let more = [timed(&clock, pose.frame.0, &pose.name, pose.time_s), motion, deviations(&place)];
-            features.push(point(results, &place, joined(who, more)));
-        }
+        let who = json!({ "kind": "vehicle", "vehicle": object.id, "class": object.class });
+        features.extend(results.fixes_of(&object.poses).iter().map(|fix| vehicle_at(results, &clock, &who, fix)));
     }
     for track in &results.trajectories.ground_tracks {
-        for position in &track.positions {
-            let Some(place) = results.place_of_contact(position) else { continue };
-            let who = json!({
-                "kind": GROUND_TRACK, "vehicle": track.id, "class": track.class, "method": track.method.name()
-            });
-            let motion = motion(position.metric.as_ref());
-            let time = timed(&clock, position.frame.0, &position.name, position.time_s);
-            features.push(point(results, &place, joined(who, [time, motion, deviations(&place)])));
-        }
+        let who = json!({
+            "kind": GROUND_TRACK, "vehicle": track.id, "class": track.class, "method": track.method.name()
+        });
+        let fixes = results.fixes_of_contacts(&track.positions);
+        features.extend(fixes.iter().map(|fix| vehicle_at(results, &clock, &who, fix)));
     }
-    for view in &results.views {
-        let Some(place) = results.place(view.cam_from_world.center()) else { continue };
-        let more = [timed(&clock, view.frame.id.0, &view.frame.name, view.frame.time_s), deviations(&place)];
-        features.push(point(results, &place, joined(json!({ "kind": "camera" }), more)));
-    }
+    features.extend(results.camera_fixes().iter().map(|fix| {
+        let more = [timed(&clock, fix), deviations(&fix.place)];
+        point(results, &fix.place, joined(json!({ "kind": "camera" }), more))
+    }));
     Ok(atomic::write_json(path, &collection(results, features))?)
 }
 
-/// Where a vehicle was.
-pub(super) fn vehicle_fixes(results: &Results, poses: &[ObjectPose]) -> Vec<Fix> {
-    let fix =
-        |pose: &ObjectPose| Some(Fix { place: results.place_of(pose)?, image: pose.name.clone(), time_s: pose.time_s });
-    poses.iter().filter_map(fix).collect()
-}
-
-/// Where a vehicle touched the ground.
-pub(super) fn contact_fixes(results: &Results, contacts: &[GroundPosition]) -> Vec<Fix> {
-    let fix = |at: &GroundPosition| {
-        Some(Fix { place: results.place_of_contact(at)?, image: at.name.clone(), time_s: at.time_s })
-    };
-    contacts.iter().filter_map(fix).collect()
-}
-
-/// Where the camera was.
-pub(super) fn camera_fixes(results: &Results) -> Vec<Fix> {
-    let fix = |view: &super::RegisteredFrame| {
-        let place = results.place(view.cam_from_world.center())?;
-        Some(Fix { place, image: view.frame.name.clone(), time_s: view.frame.time_s })
-    };
-    results.views.iter().filter_map(fix).collect()
+fn vehicle_at(results: &Results, clock: &Clock, who: &Value, fix: &Fix) -> Value {
+    let more = [timed(clock, fix), motion(fix.metric.as_ref()), deviations(&fix.place)];
+    point(results, &fix.place, joined(who.clone(), more))
 }
 
 fn collection(results: &Results, features: Vec<Value>) -> Value {
@@ -141,9 +106,9 @@ fn time(clock: &Clock, fix: &Fix) -> Value {
     clock.date(&fix.image, fix.time_s).map_or_else(|| json!(fix.time_s), Value::from)
 }
 
-fn timed(clock: &Clock, frame: u32, image: &str, time_s: f64) -> Value {
-    let seconds = clock.has_seconds().then_some(time_s);
-    json!({ "frame": frame, "time_s": seconds, "date": clock.date(image, time_s) })
+fn timed(clock: &Clock, fix: &Fix) -> Value {
+    let seconds = clock.has_seconds().then_some(fix.time_s);
+    json!({ "frame": fix.frame, "time_s": seconds, "date": clock.date(&fix.image, fix.time_s) })
 }
 
 fn motion(metric: Option<&MetricPose>) -> Value {
@@ -250,6 +215,8 @@ mod tests {
     fn lines_are_cut_where_longitudes_jump_and_one_place_is_a_point() {
         let results = with_metres(results());
         let fix = |longitude: f64| Fix {
+            frame: crate::scene::FrameId(0),
+            metric: None,
             place: MapPlace { longitude, latitude: -17.0, height_m: 3.0, place_std_m: [1.0; 3] },
             image: String::new(),
             time_s: longitude,

@@ -4,7 +4,6 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::geojson::camera_fixes;
 use super::xml::{self, Xml, element};
 use super::{ExportError, Results};
 use crate::io::atomic;
@@ -30,7 +29,7 @@ fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
 
 fn points(xml: &mut Xml, results: &Results) -> std::io::Result<()> {
     let clock = results.clock();
-    for fix in camera_fixes(results) {
+    for fix in results.camera_fixes() {
         let [latitude, longitude] = [fix.place.latitude, fix.place.longitude].map(|degrees| format!("{degrees:.9}"));
         let attributes = [("lat", latitude.as_str()), ("lon", longitude.as_str())];
         xml.create_element("trkpt").with_attributes(attributes).write_inner_content(|xml| {

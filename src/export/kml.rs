@@ -7,7 +7,7 @@
 use std::io::Write;
 use std::path::Path;
 
-use super::geojson::{Fix, camera_fixes, contact_fixes, vehicle_fixes};
+use super::results::Fix;
 use super::xml::{self, Xml, element};
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
@@ -68,7 +68,7 @@ fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
         .map(|speed| format!("; mean speed {} km/h", with_std(speed.value, speed.std)));
     let doubt = facts.doubt.map(|doubt| format!("; {doubt}"));
     Track {
-        name: format!("{} {}", if facts.class.is_empty() { "vehicle" } else { &facts.class }, object.id),
+        name: object.name(),
         description: format!(
             "{}{}{}",
             facts.verdict.unwrap_or("not judged"),
@@ -78,7 +78,7 @@ fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
         colour: object_colour(object.id),
         width: BOLD,
         altitude_mode: "clampToGround",
-        fixes: vehicle_fixes(results, &object.poses),
+        fixes: results.fixes_of(&object.poses),
     }
 }
 
@@ -91,7 +91,7 @@ fn ground_track(results: &Results, track: &GroundTrack) -> Track {
         colour: object_colour(track.id),
         width: THIN,
         altitude_mode: "clampToGround",
-        fixes: contact_fixes(results, &track.positions),
+        fixes: results.fixes_of_contacts(&track.positions),
     }
 }
 
@@ -106,7 +106,7 @@ fn camera(results: &Results) -> Track {
         colour: WHITE,
         width: BOLD,
         altitude_mode,
-        fixes: camera_fixes(results),
+        fixes: results.camera_fixes(),
     }
 }
 

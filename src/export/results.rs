@@ -11,10 +11,13 @@ use crate::camera::Camera;
 use crate::io::{IoError, RunFolder, json};
 use crate::math::{Rigid3, Sim3};
 use crate::scene::{
-    Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, Motion, ObjectPose,
-    ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Trust, Unit,
+    Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricPose, Motion,
+    ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Trust, Unit,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
+
+/// Images per second of an input without times, as are 25 frames of one.
+pub(super) const FRAMES_PER_S: f64 = 25.0;
 
 /// East, north, up at the origin of the metric frame.
 pub fn local_frame(origin: MapOrigin) -> LocalFrame {
@@ -25,6 +28,17 @@ pub fn local_frame(origin: MapOrigin) -> LocalFrame {
 /// Smoothed motion of a vehicle at its times, where it is known.
 pub(super) fn motions(object: &ObjectTrajectory) -> impl Iterator<Item = (f64, Motion)> {
     object.poses.iter().filter_map(|pose| Some((pose.time_s, pose.metric.as_ref()?.motion?)))
+}
+
+/// A position on the map, and the frame in which something is there.
+pub(super) struct Fix {
+    pub(super) frame: FrameId,
+    pub(super) image: String,
+    /// Time of the video, seconds.
+    pub(super) time_s: f64,
+    pub(super) place: MapPlace,
+    /// Position and motion in meters, of a vehicle whose results have them.
+    pub(super) metric: Option<MetricPose>,
 }
 
 /// A frame whose camera is known.
@@ -208,6 +222,42 @@ impl Results {
             height_m: found.height_m,
             place_std_m: place_std_m(frame, point_in_world),
         })
+    }
+
+    /// Seconds at which a moving image shows a time of the input.
+    pub(super) fn seconds(&self, time_s: f64) -> f64 {
+        match self.time_base {
+            TimeBase::Seconds => time_s,
+            TimeBase::Frames => time_s / FRAMES_PER_S,
+        }
+    }
+
+    /// Positions of a vehicle on the map.
+    pub(super) fn fixes_of(&self, poses: &[ObjectPose]) -> Vec<Fix> {
+        let fix = |pose: &ObjectPose| {
+            let ObjectPose { frame, ref name, time_s, metric, .. } = *pose;
+            Some(Fix { frame, image: name.clone(), time_s, place: self.place_of(pose)?, metric })
+        };
+        poses.iter().filter_map(fix).collect()
+    }
+
+    /// Contact points of a vehicle on the map.
+    pub(super) fn fixes_of_contacts(&self, contacts: &[GroundPosition]) -> Vec<Fix> {
+        let fix = |contact: &GroundPosition| {
+            let GroundPosition { frame, ref name, time_s, metric, .. } = *contact;
+            Some(Fix { frame, image: name.clone(), time_s, place: self.place_of_contact(contact)?, metric })
+        };
+        contacts.iter().filter_map(fix).collect()
+    }
+
+    /// Positions of the camera on the map.
+    pub(super) fn camera_fixes(&self) -> Vec<Fix> {
+        let fix = |view: &RegisteredFrame| {
+            let Frame { id, ref name, time_s, .. } = view.frame;
+            let place = self.place(view.cam_from_world.center())?;
+            Some(Fix { frame: id, image: name.clone(), time_s, place, metric: None })
+        };
+        self.views.iter().filter_map(fix).collect()
     }
 
     /// Where a contact point is on the map: as the results say, else by its position.

@@ -7,7 +7,6 @@
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -26,7 +25,7 @@ const BEFORE: [&str; 2] = ["run", "input"];
 const AFTER: [&str; 7] = ["metres", "metres_reason", "date", "longitude", "latitude", "place_std_m", "missing"];
 
 /// One line of the table.
-#[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Row {
     /// The output folder.
     pub run: PathBuf,
@@ -152,17 +151,7 @@ impl Summary {
 
 impl Row {
     fn new(run: &Path, input: Option<PathBuf>) -> Self {
-        Self {
-            run: run.to_owned(),
-            input,
-            facts: None,
-            unplaced: None,
-            metres: None,
-            metres_reason: None,
-            date: None,
-            place: None,
-            missing: None,
-        }
+        Self { run: run.to_owned(), input, ..Self::default() }
     }
 
     fn of_metres(run: &Path, results: &Results) -> Self {
@@ -176,12 +165,10 @@ impl Row {
 
     fn of_vehicle(&self, results: &Results, object: &ObjectTrajectory) -> Self {
         let first = object.poses.first();
-        let said = |pose: &crate::scene::ObjectPose| pose.metric.and_then(|metric| metric.place);
-        let place = first.and_then(|pose| said(pose).or_else(|| results.place(Point3::from(pose.position))));
         Self {
             facts: Some(Facts::of(object, results.time_base)),
             date: first.and_then(|pose| results.clock().date(&pose.name, pose.time_s)),
-            place,
+            place: first.and_then(|pose| results.place_of(pose)),
             ..self.clone()
         }
     }
@@ -208,7 +195,7 @@ impl Row {
             self.date.clone().unwrap_or_default(),
             degrees(|place| place.longitude),
             degrees(|place| place.latitude),
-            self.place.map(|place| format!("{:.4}", horizontal_std_m(&place))).unwrap_or_default(),
+            self.place.map(|place| format!("{:.4}", place.horizontal_std_m())).unwrap_or_default(),
             self.missing.clone().unwrap_or_default(),
         ]);
         cells
@@ -223,7 +210,7 @@ impl Row {
             "metres": self.metres,
             "metres_reason": self.metres_reason,
             "date": self.date,
-            "place_std_m": self.place.map(|place| horizontal_std_m(&place)),
+            "place_std_m": self.place.map(|place| place.horizontal_std_m()),
             "missing": self.missing,
         });
         if let Some(all) = properties.as_object_mut() {
@@ -235,10 +222,6 @@ impl Row {
         }
         json!({ "type": "Feature", "geometry": geometry, "properties": properties })
     }
-}
-
-fn horizontal_std_m(place: &MapPlace) -> f64 {
-    place.place_std_m[0].hypot(place.place_std_m[1])
 }
 
 /// Output folders at and below a path, by name.

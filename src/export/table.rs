@@ -3,6 +3,7 @@
 //! `_units` is the unit of length of the background's reconstruction, `_m` metres, `_s` seconds, `_deg` degrees. What
 //! is not known is an empty cell. Metres have four decimals, longitude and latitude nine: a tenth of a millimetre.
 
+use std::ops::Range;
 use std::path::Path;
 
 use nalgebra::Point3;
@@ -89,6 +90,9 @@ const POSE_COLUMNS: [&str; 38] = [
     "heading_unwrapped_deg",
 ];
 
+/// Columns of the travel in [`FACT_COLUMNS`].
+const TRAVEL_COLUMNS: Range<usize> = 11..21;
+
 /// Columns of a ground track as a whole, before those of its travel.
 const GROUND_TRACK_COLUMNS: [&str; 13] = [
     "vehicle",
@@ -105,19 +109,6 @@ const GROUND_TRACK_COLUMNS: [&str; 13] = [
     "last_frame",
     "duration_s",
 ];
-const TRAVEL_COLUMNS: [&str; 10] = [
-    "path_units",
-    "path_std_units",
-    "path_m",
-    "path_std_m",
-    "displacement_m",
-    "displacement_std_m",
-    "mean_speed_m_s",
-    "mean_speed_std_m_s",
-    "max_speed_m_s",
-    "max_speed_std_m_s",
-];
-
 const CAMERA_COLUMNS: [&str; 21] = [
     "frame",
     "image",
@@ -175,13 +166,15 @@ pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
         exact(facts.first_time_s),
         exact(facts.last_time_s),
         exact(facts.duration_s),
-        exact(facts.path_units),
-        exact(facts.path_std_units),
     ];
-    let travel = [facts.path_m, facts.displacement_m, facts.mean_speed_m_s, facts.max_speed_m_s];
-    let estimates = travel.into_iter().chain([size.length_m, size.width_m, size.height_m]);
-    cells.extend(estimates.flat_map(estimate));
+    cells.extend(travel_cells(facts));
+    cells.extend([size.length_m, size.width_m, size.height_m].into_iter().flat_map(estimate));
     cells
+}
+
+fn travel_cells(facts: &Facts) -> impl Iterator<Item = String> {
+    let travel = [facts.path_m, facts.displacement_m, facts.mean_speed_m_s, facts.max_speed_m_s];
+    [facts.path_units, facts.path_std_units].map(exact).into_iter().chain(travel.into_iter().flat_map(estimate))
 }
 
 /// One row per vehicle and frame.
@@ -206,13 +199,12 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
     cells.extend(metric_cells(pose.metric.as_ref()));
     let place = results.place_of(pose);
     cells.extend(place_cells(place));
-    cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
     cells
 }
 
 /// One row per ground track.
 pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), ExportError> {
-    let columns = [&GROUND_TRACK_COLUMNS[..], &TRAVEL_COLUMNS[..]].concat();
+    let columns = [&GROUND_TRACK_COLUMNS[..], &FACT_COLUMNS[TRAVEL_COLUMNS]].concat();
     let row = |track: &GroundTrack| {
         let facts = Facts::of_ground_track(track, results.time_base);
         let frame = |frame: Option<FrameId>| frame.map(|frame| frame.0.to_string()).unwrap_or_default();
@@ -230,11 +222,8 @@ pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), Export
             frame(facts.first_frame),
             frame(facts.last_frame),
             exact(facts.duration_s),
-            exact(facts.path_units),
-            exact(facts.path_std_units),
         ];
-        let travel = [facts.path_m, facts.displacement_m, facts.mean_speed_m_s, facts.max_speed_m_s];
-        cells.extend(travel.into_iter().flat_map(estimate));
+        cells.extend(travel_cells(&facts));
         cells
     };
     write_in(path, results.units, &columns, results.trajectories.ground_tracks.iter().map(row))
@@ -263,7 +252,6 @@ fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, position
     cells.extend(position.position.map(|value| value.to_string()));
     cells.extend(metric_cells(position.metric.as_ref()));
     cells.extend(place_cells(place));
-    cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
     cells
 }
 
@@ -316,17 +304,17 @@ fn view_cells(results: &Results, clock: &Clock, view: &RegisteredFrame) -> Vec<S
     cells.extend([0, 1, 2].map(|axis| metres(in_metres.map(|point: Point3<f64>| point[axis]))));
     let place = results.place(center);
     cells.extend(place_cells(place));
-    cells.push(metres(place.map(|place| place.place_std_m[0].hypot(place.place_std_m[1]))));
     cells.push(metres(place.map(|place| place.place_std_m[2])));
     cells
 }
 
-fn place_cells(place: Option<MapPlace>) -> [String; 3] {
+fn place_cells(place: Option<MapPlace>) -> [String; 4] {
     let degrees = |value: Option<f64>| value.map(|value| format!("{value:.9}")).unwrap_or_default();
     [
         degrees(place.map(|place| place.longitude)),
         degrees(place.map(|place| place.latitude)),
         metres(place.map(|place| place.height_m)),
+        metres(place.map(|place| place.horizontal_std_m())),
     ]
 }
 

@@ -307,3 +307,10 @@ pub struct MapPlace {
     /// Standard deviation of the place on the map, east, north and up, metres.
     pub place_std_m: [f64; 3],
 }
+
+impl MapPlace {
+    /// Horizontal standard deviation, meters.
+    pub fn horizontal_std_m(&self) -> f64 {
+        self.place_std_m[0].hypot(self.place_std_m[1])
+    }
+}

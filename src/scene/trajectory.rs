@@ -271,6 +271,12 @@ impl ObjectTrajectory {
         self.scale.std.map_or(UNSTATED, |std| std / self.scale.ratio)
     }
 
+    /// Name of the vehicle: class and id.
+    pub fn name(&self) -> String {
+        let class = if self.class.is_empty() { "vehicle" } else { &self.class };
+        format!("{class} {}", self.id)
+    }
+
     /// Headings without jumps at north, degrees: each within half a turn of the one before, and their mean from 0 to
     /// 360. One per pose; `None` where none is known.
     pub fn unwrapped_headings_deg(&self) -> Vec<Option<f64>> {

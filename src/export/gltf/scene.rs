@@ -11,10 +11,8 @@ use super::{asset, vehicle};
 use crate::export::{RegisteredFrame, Results};
 use crate::math::Sim3;
 use crate::report::object_colour;
-use crate::scene::{GroundTrack, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
+use crate::scene::{GroundTrack, ObjectId, ObjectTrajectory, Reconstruction};
 
-/// Frames without times are shown so many in a second.
-const FRAMES_PER_S: f64 = 25.0;
 /// The camera's near plane, as a share of its distance to the middle of the points.
 const NEAR: f64 = 1e-3;
 /// Colour of what belongs to the camera.
@@ -118,7 +116,7 @@ impl<'a> Scene<'a> {
                 "znear": self.near(first),
             },
         }]);
-        let times: Vec<f64> = views.iter().map(|view| self.seconds(view.frame.time_s)).collect();
+        let times: Vec<f64> = views.iter().map(|view| self.results.seconds(view.frame.time_s)).collect();
         let places: Vec<_> = views.iter().map(|view| self.scene_from_world * view.cam_from_world.center()).collect();
         // A camera of glTF looks along −z with y up.
         let turn = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
@@ -138,11 +136,11 @@ impl<'a> Scene<'a> {
     /// A node that moves, and the line that it draws.
     fn add_vehicle(&mut self, object: &ObjectTrajectory, model: Option<&Reconstruction>) {
         let Some(first) = object.poses.first() else { return };
-        let name = format!("{} {}", if object.class.is_empty() { "vehicle" } else { &object.class }, object.id);
+        let name = object.name();
         let colour = object_colour(object.id);
         let scene_from_object: Vec<Sim3> =
             object.poses.iter().map(|pose| self.scene_from_world * pose.world_from_object).collect();
-        let times: Vec<f64> = object.poses.iter().map(|pose| self.seconds(pose.time_s)).collect();
+        let times: Vec<f64> = object.poses.iter().map(|pose| self.results.seconds(pose.time_s)).collect();
         let mut primitives = Vec::new();
         if let Some(model) = model {
             let points: Vec<_> = model.points.values().map(|point| point.position).collect();
@@ -183,7 +181,7 @@ impl<'a> Scene<'a> {
         let (Some(first), Some(first_place)) = (track.positions.first(), places.first()) else { return };
         let name = format!("ground track of {}", track.name());
         let colour = object_colour(track.id);
-        let times: Vec<f64> = track.positions.iter().map(|at| self.seconds(at.time_s)).collect();
+        let times: Vec<f64> = track.positions.iter().map(|at| self.results.seconds(at.time_s)).collect();
         let point = self.cloud(&[Point3::origin()], &[colour]);
         let mesh = self.mesh(&name, point.into_iter().collect());
         let index = self.nodes.len();
@@ -258,7 +256,7 @@ impl<'a> Scene<'a> {
     /// Hides a node before its first time and from the frame after its last one.
     fn show_while(&mut self, node: usize, times: &[f64], scale: f64) {
         let (Some(&first), Some(&last)) = (times.first(), times.last()) else { return };
-        let all: Vec<f64> = self.results.views.iter().map(|view| self.seconds(view.frame.time_s)).collect();
+        let all: Vec<f64> = self.results.views.iter().map(|view| self.results.seconds(view.frame.time_s)).collect();
         let before = all.first().copied().filter(|&begin| begin < first);
         let after = all.iter().copied().find(|&time| time > last);
         let keys: Vec<(f64, f64)> =
@@ -276,13 +274,6 @@ impl<'a> Scene<'a> {
         self.samplers.push(json!({ "input": input, "output": output, "interpolation": interpolation }));
         let sampler = self.samplers.len() - 1;
         self.channels.push(json!({ "sampler": sampler, "target": { "node": node, "path": path } }));
-    }
-
-    fn seconds(&self, time_s: f64) -> f64 {
-        match self.results.time_base {
-            TimeBase::Seconds => time_s,
-            TimeBase::Frames => time_s / FRAMES_PER_S,
-        }
     }
 
     fn near(&self, view: &RegisteredFrame) -> f64 {
