@@ -199,6 +199,11 @@ fn vehicle(vehicle: &tractrix::synthetic::showcase::Vehicle) -> Object<'_> {
     }
 }
 
+fn write(page: &Path, data: &Data) {
+    let text = report::render(data).expect("the report renders");
+    std::fs::write(page, text).expect("the report is written");
+}
+
 /// Pixels of about this colour, and the box round them.
 fn coloured(picture: &RgbImage, colour: [u8; 3]) -> (usize, [u32; 4]) {
     let mut count = 0;
@@ -218,7 +223,7 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
     let (folder, _guard) = folder();
     let result = showcase(60, 1);
     let page = folder.join("report.html");
-    report::write(&page, &data(&result, pictures(&result))).expect("the report is written");
+    write(&page, &data(&result, pictures(&result)));
     let size = std::fs::metadata(&page).expect("it is there").len();
     assert!(size < 6 << 20, "{size} bytes");
 
@@ -230,7 +235,7 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
 
     // The strip's pictures carry the masks' colours, so this page has none.
     let bare = folder.join("bare.html");
-    report::write(&bare, &data(&result, Pictures::default())).expect("the report is written");
+    write(&bare, &data(&result, Pictures::default()));
     // A picture cannot say whether its page was ready: one that has too little of the car is taken again.
     let shoot = || {
         let picture = screenshot(&browser, &bare, "#full&theme=dark", (1400, 1000), "bare.png");
@@ -252,7 +257,7 @@ fn the_view_through_a_narrow_camera_has_its_picture() {
     // A field of view of 33°: a dashcam on a road, a drone with a long lens.
     result.background.cameras.values_mut().for_each(|camera| camera.focal = [1600.0; 2]);
     let page = folder.join("narrow.html");
-    report::write(&page, &data(&result, Pictures { film: None, ..pictures(&result) })).expect("the report is written");
+    write(&page, &data(&result, Pictures { film: None, ..pictures(&result) }));
     let shoot = || {
         let picture = screenshot(&browser, &page, "#view=camera&full&theme=light", (1400, 1000), "narrow.png");
         // Between the controls above and below.
@@ -269,7 +274,7 @@ fn without_webgl_the_page_says_so_and_shows_the_top_view() {
     let (folder, _guard) = folder();
     let result = showcase(60, 1);
     let page = folder.join("plan.html");
-    report::write(&page, &data(&result, Pictures::default())).expect("the report is written");
+    write(&page, &data(&result, Pictures::default()));
     let (document, log) = loaded(&browser, &WITHOUT_WEBGL, &page);
     assert_eq!(attribute(&document, "data-ready"), Some("true"), "{log}");
     assert_eq!(attribute(&document, "data-renderer"), Some("plan"), "{log}");
@@ -335,7 +340,7 @@ fn models_alone_have_a_page_with_images_and_residuals() {
     let data = Data { is_sfm: true, metric: None, ground: None, evaluation: None, ..data };
     let (folder, _guard) = folder();
     let file = folder.join("sfm.html");
-    report::write(&file, &data).expect("the report is written");
+    write(&file, &data);
     let (document, log) = loaded(&browser, &WITH_WEBGL, &file);
     assert_eq!(attribute(&document, "data-renderer"), Some("webgl"), "{log}");
     assert_eq!(attribute(&document, "data-errors"), None, "{log}");

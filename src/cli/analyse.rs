@@ -6,12 +6,12 @@ use std::path::PathBuf;
 use anyhow::{Context, anyhow};
 use serde_json::Value;
 
-use super::output::{Failure, Form, counted, show};
+use super::output::{Failure, Form, show};
 use crate::export::Results;
 use crate::export::crossings::{self, Analysis, Direction};
 use crate::io::RunFolder;
 use crate::io::json;
-use crate::math::rounding::with_std;
+use crate::math::rounding::{counted, with_std};
 use crate::pipeline;
 
 /// Count vehicles at lines and in zones, with speeds and headways

@@ -3,6 +3,8 @@
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
+use serde::de::value::{Error as ValueError, StrDeserializer};
+use serde::de::{DeserializeOwned, IntoDeserializer};
 
 use super::output::Failure;
 use crate::ffi::onnx::Provider;
@@ -20,7 +22,7 @@ pub(super) struct CommonArgs {
     pub(super) method: Option<Method>,
     /// Scale method: joint, least-squares, constant-distance, intersection, or a reference method of docs/estimators.md
     /// [default: joint]
-    #[arg(long, value_name = "METHOD", value_parser = scale_method, help_heading = "Geometry")]
+    #[arg(long, value_name = "METHOD", value_parser = named::<ScaleMethod>, help_heading = "Geometry")]
     pub(super) scale_method: Option<ScaleMethod>,
 
     /// Threads [default: one per core]
@@ -92,8 +94,21 @@ fn method(text: &str) -> Result<Method, String> {
     found.ok_or_else(|| format!("'{text}': expected one of {}", Method::ALL.map(Method::name).join(", ")))
 }
 
-fn scale_method(text: &str) -> Result<ScaleMethod, String> {
-    let names: Vec<&str> = ScaleMethod::ALL.iter().map(|method| method.name()).collect();
-    let found = ScaleMethod::ALL.into_iter().find(|method| method.name() == text);
-    found.ok_or_else(|| format!("'{text}': expected one of {}", names.join(", ")))
+/// Parses a value by its name in options and files.
+pub(super) fn named<T: DeserializeOwned>(text: &str) -> Result<T, String> {
+    let name: StrDeserializer<'_, ValueError> = text.into_deserializer();
+    T::deserialize(name).map_err(|error| error.to_string())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::pipeline::{MaskChoice, MotionChoice};
+
+    #[test]
+    fn values_are_parsed_by_their_names() {
+        assert_eq!(named::<ScaleMethod>("least-squares"), Ok(ScaleMethod::RobustLeastSquares));
+        assert_eq!(named::<MaskChoice>("small"), Ok(MaskChoice::Small));
+        assert!(named::<MotionChoice>("maybe").unwrap_err().contains("`on`"));
+    }
 }

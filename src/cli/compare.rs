@@ -4,11 +4,12 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
+use super::common::named;
 use super::output::{Failure, Form, show};
 use super::paired_times::{self, Times};
 use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
 use crate::io::interchange::model::{self, Format};
-use crate::io::{IoError, RunFolder, Sequence, json, refuse_place_of_results};
+use crate::io::{IoError, RunFolder, Sequence, atomic, json, refuse_place_of_results};
 use crate::report::comparison as page;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
@@ -24,9 +25,10 @@ pub(super) struct Args {
     /// Ground truth or reference: a sequence (scene.json, in meters), or a reconstruction
     #[arg(long, value_name = "TRUTH")]
     pub(super) truth: Option<PathBuf>,
-    /// Criterion by which images are matched
-    #[arg(long, value_enum, value_name = "WHAT", default_value = "name")]
-    pub(super) match_by: By,
+    /// Criterion by which images are matched: `name` (with folders), `stem` (without folders and extension), or `order`
+    /// (position in the order of names)
+    #[arg(long, value_name = "WHAT", value_parser = named::<MatchBy>, default_value = "name")]
+    pub(super) match_by: MatchBy,
     /// Time of the reference minus that of the models, seconds; for camera paths (TUM, EuRoC), matched by time
     #[arg(long, value_name = "SECONDS", default_value_t = 0.0, allow_hyphen_values = true)]
     pub(super) time_offset: f64,
@@ -41,27 +43,6 @@ pub(super) struct Args {
     pub(super) overwrite: bool,
 }
 
-/// Criterion by which images are matched.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
-pub(super) enum By {
-    /// Full name, with folders
-    Name,
-    /// File name without folders and extension
-    Stem,
-    /// Position in the order of names
-    Order,
-}
-
-impl From<By> for MatchBy {
-    fn from(by: By) -> Self {
-        match by {
-            By::Name => Self::Name,
-            By::Stem => Self::Stem,
-            By::Order => Self::Order,
-        }
-    }
-}
-
 /// Compares, prints the figures, and writes the page if one is asked for.
 pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> Result<(), Failure> {
     check(args)?;
@@ -72,11 +53,12 @@ pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> 
     };
     let others = sides.split_off(1);
     let reference = sides.remove(0);
-    let comparison = compare(&reference, &others, unit, args.match_by.into());
+    let comparison = compare(&reference, &others, unit, args.match_by);
     if let Some(path) = &args.page {
         let models = std::iter::once(&reference.model).chain(others.iter().map(|side| &side.model)).collect();
         let arguments = arguments.iter().map(|a| a.to_string_lossy().into_owned()).collect();
-        page::write(path, &page::Data { comparison: &comparison, models, arguments })?;
+        let text = page::render(&page::Data { comparison: &comparison, models, arguments })?;
+        atomic::write(path, text.as_bytes())?;
     }
     if comparison.has_result() {
         return show(form, &comparison, || comparison.to_string());
@@ -139,7 +121,7 @@ fn sides(args: &Args) -> Result<Vec<Side>, Failure> {
         };
         sides.insert(0, Side { name: "truth".into(), model, cost: None });
     }
-    if args.match_by == By::Name {
+    if args.match_by == MatchBy::Name {
         pair_by_time(&mut sides, &timed, args.time_offset);
     }
     Ok(sides)
@@ -149,7 +131,7 @@ fn sides(args: &Args) -> Result<Vec<Side>, Failure> {
 fn read(path: &Path, args: &Args) -> Result<(Reconstruction, Format), Failure> {
     let (model, format) = model::read_poses(path)?;
     let lost = model::lost_on_reading(path, format);
-    if let (Format::Bundler, By::Order, [first, ..]) = (format, args.match_by, &lost[..]) {
+    if let (Format::Bundler, MatchBy::Order, [first, ..]) = (format, args.match_by, &lost[..]) {
         return Err(Failure::Usage(format!("{}: {first}; --match-by order would pair any images", path.display())));
     }
     for loss in lost {

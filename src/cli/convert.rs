@@ -5,10 +5,11 @@ use std::path::{Path, PathBuf};
 use serde::Serialize;
 
 use super::frame;
-use super::output::{Failure, Form, counted, show};
+use super::output::{Failure, Form, show};
 use crate::io::interchange::database::{self, Features};
 use crate::io::interchange::model::{self, Format};
 use crate::io::{Losses, atomic};
+use crate::math::rounding::counted;
 use crate::pipeline;
 use crate::scene::Reconstruction;
 

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 
-use super::common::CommonArgs;
+use super::common::{CommonArgs, named};
 use super::output::Failure;
 use crate::io::{IoError, Sequence};
 use crate::mapper::Intrinsics;
@@ -45,10 +45,10 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "default|none|FILE", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) detector: Option<DetectorChoice>,
     /// Detection of vehicles by motion: `on` (default) or `off`
-    #[arg(long, value_name = "on|off", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    #[arg(long, value_name = "on|off", value_parser = named::<MotionChoice>, conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) motion: Option<MotionChoice>,
     /// Mask network: `default` (MobileSAM), `small` (faster), or `none` (coarse masks by color)
-    #[arg(long, value_name = "default|small|none", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    #[arg(long, value_name = "default|small|none", value_parser = named::<MaskChoice>, conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) mask_network: Option<MaskChoice>,
     /// Interval of the mask network, frames; optical flow propagates masks in between [default: 0.4 seconds]
     #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
@@ -84,14 +84,14 @@ pub(super) struct JobArgs {
     pub(super) intrinsics_std: Option<Intrinsics>,
     /// Front end: `video` tracks image points from frame to frame, `sift` matches features between frames [default:
     /// video for frames in order of time, otherwise sift]
-    #[arg(long, value_name = "KIND", value_parser = feature_kind, help_heading = "Geometry")]
+    #[arg(long, value_name = "KIND", value_parser = named::<FeatureKind>, help_heading = "Geometry")]
     pub(super) features: Option<FeatureKind>,
     /// Order of the frames: `time` or `none` (photographs: similar and near ones are matched)
     ///
     /// Default: time for videos, and for folders with --fps, --features video or a scene.json. For other folders some
     /// images are compared with their successors: with fewer than 60 % of the corners tracked, they are treated as
     /// photographs.
-    #[arg(long, value_name = "ORDER", value_parser = frame_order, help_heading = "Frames")]
+    #[arg(long, value_name = "ORDER", value_parser = named::<FrameOrder>, help_heading = "Frames")]
     pub(super) order: Option<FrameOrder>,
     /// Background model by another program (COLMAP, OpenMVG, OpenSfM, NVM, Bundler), used unchanged
     #[arg(long, value_name = "PATH", help_heading = "Geometry")]
@@ -373,21 +373,5 @@ fn object_model(text: &str) -> Result<(ObjectId, PathBuf), String> {
     match parsed {
         Some((id, path)) if id > 0 && !path.is_empty() => Ok((ObjectId(id), path.into())),
         _ => Err(format!("'{text}': expected ID=PATH with an id of 1 or larger")),
-    }
-}
-
-fn feature_kind(text: &str) -> Result<FeatureKind, String> {
-    match text {
-        "video" => Ok(FeatureKind::Video),
-        "sift" => Ok(FeatureKind::Sift),
-        _ => Err(format!("'{text}': expected video or sift")),
-    }
-}
-
-fn frame_order(text: &str) -> Result<FrameOrder, String> {
-    match text {
-        "time" => Ok(FrameOrder::Time),
-        "none" => Ok(FrameOrder::None),
-        _ => Err(format!("'{text}': expected time or none")),
     }
 }

@@ -3,6 +3,7 @@
 use std::fmt::Write;
 
 use crate::camera::{Camera, HigherTerms};
+use crate::math::rounding::counted;
 use crate::pipeline::{ModelReport, Summary};
 
 /// The background's model, its camera, and the model of every vehicle; empty before the background is reconstructed.
@@ -14,9 +15,8 @@ pub(super) fn as_text(summary: &Summary) -> String {
     if background.cameras.len() > 1 {
         for of in &background.cameras {
             let (id, width, height) = (of.id.0, of.camera.width, of.camera.height);
-            let count = of.frames.len();
-            let pictures = if count == 1 { "image" } else { "images" };
-            let _ = writeln!(text, "camera {id} ({count} {pictures} of {width}x{height}): {}", lens(&of.camera));
+            let images = counted(of.frames.len(), "image");
+            let _ = writeln!(text, "camera {id} ({images} of {width}x{height}): {}", lens(&of.camera));
         }
     } else if let Some(camera) = background.camera.filter(|_| background.num_registered > 0) {
         let _ = writeln!(text, "camera: {}", lens(&camera));

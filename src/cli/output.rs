@@ -186,11 +186,6 @@ pub(super) fn print_json(value: &impl Serialize) -> Result<(), Failure> {
     is_taken(written.and_then(|()| stdout.write_all(b"\n")).and_then(|()| stdout.flush())).map(drop)
 }
 
-/// "1 point", "2 points".
-pub(super) fn counted(number: usize, noun: &str) -> String {
-    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;

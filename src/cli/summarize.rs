@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 use anyhow::{Context, anyhow};
 use serde_json::Value;
 
-use super::output::{Failure, Form, counted, print, print_json};
+use super::output::{Failure, Form, print, print_json};
 use crate::export::summary::Summary;
 use crate::io::{FolderError, atomic, refuse_place_of_results};
+use crate::math::rounding::counted;
 
 /// Combine the results of many runs: one row per vehicle of every run, with reasons for missing ones
 #[derive(Clone, Debug, clap::Args)]

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use crate::math::rounding::counted;
 use crate::pipeline::{Summary, Vehicle};
 use crate::report::{Verdict, estimate, ground_track_facts, travel_facts};
 use crate::scene::{Dimensions, GroundTrack, Movement, ObjectTrajectory, TimeBase, Trajectories};
@@ -28,7 +29,7 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
 }
 
 fn headline(num_vehicles: usize, num_placed: usize) -> String {
-    let vehicles = count(num_vehicles, "vehicle");
+    let vehicles = counted(num_vehicles, "vehicle");
     match num_placed {
         _ if num_vehicles == 0 => "no vehicle".to_owned(),
         0 if num_vehicles == 1 => format!("{vehicles}, no trajectory"),
@@ -42,14 +43,14 @@ fn headline(num_vehicles: usize, num_placed: usize) -> String {
 
 /// Number of ground tracks, behind that of trajectories.
 fn ground_track_count(number: usize) -> String {
-    if number == 0 { String::new() } else { format!("; {} without a 3D model", count(number, "ground track")) }
+    if number == 0 { String::new() } else { format!("; {} without a 3D model", counted(number, "ground track")) }
 }
 
 /// Lines on a ground track.
 fn on_ground(track: &GroundTrack, times: TimeBase) -> String {
     let verdict = track.verdict.as_ref();
     let said = verdict.map(|verdict| format!(": {}. {}", verdict.state.name(), verdict.says)).unwrap_or_default();
-    let mut text = format!("     ground track in {}{said}\n", count(track.positions.len(), "frame"));
+    let mut text = format!("     ground track in {}{said}\n", counted(track.positions.len(), "frame"));
     let travel: Vec<String> =
         ground_track_facts(track, times).iter().map(|fact| format!("{}: {}", fact.label, fact.value)).collect();
     if !travel.is_empty() {
@@ -65,7 +66,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
     let (id, class) = (found.id, class(&found.class, vehicle));
     let (placed, visible) = (found.poses.len(), vehicle.model.num_visible);
     let mut text =
-        format!("  {id}: {class}, 3D position in {placed} of {}{}\n", count(visible, "frame"), span(found, times));
+        format!("  {id}: {class}, 3D position in {placed} of {}{}\n", counted(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
     let _ = writeln!(text, "     {}", sureness(found));
     let travel = travel_facts(found, times);
@@ -80,7 +81,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
         let _ = writeln!(text, "     - {reason}");
     }
     if let Some(reason) = vehicle.model.unregistered.values().next().filter(|_| placed < visible) {
-        let _ = writeln!(text, "     no position in {}: {reason}", count(visible.saturating_sub(placed), "frame"));
+        let _ = writeln!(text, "     no position in {}: {reason}", counted(visible.saturating_sub(placed), "frame"));
     }
     text
 }
@@ -119,12 +120,6 @@ fn class(name: &str, vehicle: &Vehicle) -> String {
         Some(state @ (Movement::Moving | Movement::Stationary)) => format!("{class}, {}", state.name()),
         Some(Movement::Undetermined) | None => class.to_owned(),
     }
-}
-
-/// `1 frame`, `2 frames`.
-fn count(number: usize, noun: &str) -> String {
-    let plural = if number == 1 { "" } else { "s" };
-    format!("{number} {noun}{plural}")
 }
 
 /// Length, width and height, as far as they were seen.

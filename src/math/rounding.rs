@@ -28,6 +28,11 @@ pub fn to_std(value: f64, std: f64) -> String {
     }
 }
 
+/// Formats a number of things: `1 frame`, `2 frames`.
+pub fn counted(number: usize, noun: &str) -> String {
+    format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
+}
+
 /// Formats a value with three significant digits.
 pub fn figure(value: f64) -> String {
     significant(value, VALUE_DIGITS)

@@ -42,7 +42,7 @@ pub use pictures::{Film, PictureMaker, Pictures};
 pub use travel::{estimate, ground_track_facts, travel_facts};
 pub use verdict::Verdict;
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use crate::ffi::ffmpeg::FfmpegError;
 
@@ -85,28 +85,4 @@ pub enum ReportError {
 /// [`ReportError::Template`].
 pub fn render(data: &Data) -> Result<String, ReportError> {
     page::render(data)
-}
-
-/// Writes the page, by rename: a report that stands there is whole.
-///
-/// # Errors
-/// [`ReportError::Write`] if the folder is missing or may not be written to.
-pub fn write(path: &Path, data: &Data) -> Result<(), ReportError> {
-    write_page(path, &render(data)?)
-}
-
-fn write_page(path: &Path, text: &str) -> Result<(), ReportError> {
-    let failed = |source| ReportError::Write { path: path.to_owned(), source };
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut builder = tempfile::Builder::new();
-    // Temporary files are private by default; a report is for everyone whom the umask allows.
-    #[cfg(unix)]
-    builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
-    let mut file = builder.prefix(".report-").suffix(".part").tempfile_in(folder).map_err(failed)?;
-    // HTML has no control characters; names of files can.
-    let text = text.replace(|letter: char| letter.is_control() && !matches!(letter, '\n' | '\t' | '\r'), "\u{fffd}");
-    std::io::Write::write_all(&mut file, text.as_bytes()).map_err(failed)?;
-    file.as_file().sync_all().map_err(failed)?;
-    file.persist(path).map_err(|e| failed(e.error))?;
-    Ok(())
 }

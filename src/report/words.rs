@@ -1,7 +1,7 @@
 //! Numbers and names as a reader who is no expert can take them: never an exponent, never NaN.
 
 use super::data::Object;
-pub(super) use crate::math::rounding::{percent, significant as figure};
+pub(super) use crate::math::rounding::{counted as count, percent, significant as figure};
 
 /// Text of a number that does not exist.
 pub(super) const UNKNOWN: &str = "unknown";
@@ -18,11 +18,6 @@ pub(super) fn name(object: &Object) -> String {
 pub(super) fn capitalised(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
-}
-
-/// "1 frame", "3 frames".
-pub(super) fn count(n: usize, noun: &str) -> String {
-    if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
 }
 
 /// 12 345 with thin spaces.

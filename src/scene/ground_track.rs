@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
 use crate::math::Sim3;
+use crate::math::rounding::counted;
 
 /// Method of a ground track; the name is that of the contract.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -199,9 +200,7 @@ impl GroundTrack {
 
     /// Frames without a position in words: `3 frames: near ...; 2 frames: ...`; `None` if there are none.
     pub fn omissions(&self) -> Option<String> {
-        let said = |(why, count): (&NoContact, &usize)| {
-            format!("{count} frame{}: {}", if *count == 1 { "" } else { "s" }, why.words())
-        };
+        let said = |(why, count): (&NoContact, &usize)| format!("{}: {}", counted(*count, "frame"), why.words());
         let all: Vec<String> = self.omitted.iter().map(said).collect();
         (!all.is_empty()).then(|| all.join("; "))
     }

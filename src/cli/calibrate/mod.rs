@@ -20,7 +20,7 @@ use self::case::Setting;
 use self::variant::{Kind, Variant};
 use super::benchmark::sequences::find;
 use super::benchmark::single::stands_in_every_way;
-use super::common::CommonArgs;
+use super::common::{CommonArgs, named};
 use super::job::use_machine;
 use super::output::{Failure, Form, show};
 use super::terminal::TerminalProgress;
@@ -66,19 +66,11 @@ pub(super) struct Args {
     ///
     /// The background's cameras, from which its points are triangulated, determine the scale ratio of a stationary
     /// vehicle. The table has the mean error of the points, and the error of the ratio by the ground.
-    #[arg(long, value_name = "WHICH", value_parser = stationary, requires = "clip")]
+    #[arg(long, value_name = "WHICH", value_parser = named::<StationaryVehicles>, requires = "clip")]
     pub(super) stationary: Option<StationaryVehicles>,
 
     #[command(flatten)]
     pub(super) common: CommonArgs,
-}
-
-fn stationary(text: &str) -> Result<StationaryVehicles, String> {
-    match text {
-        "all" => Ok(StationaryVehicles::All),
-        "found" => Ok(StationaryVehicles::Found),
-        _ => Err("give all or found".to_owned()),
-    }
 }
 
 pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {

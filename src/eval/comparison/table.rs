@@ -5,6 +5,7 @@ use std::fmt;
 use super::{
     Against, Basis, Camera, CameraDifferences, Comparison, Coverage, IntrinsicsPair, LIMITS_DEG, LengthUnit, Subject,
 };
+use crate::math::rounding::counted;
 
 /// Images that the table lists.
 const WORST: usize = 5;
@@ -130,7 +131,7 @@ fn names(f: &mut fmt::Formatter<'_>, what: &str, names: &[String]) -> fmt::Resul
 
 fn intrinsics(pair: &IntrinsicsPair) -> String {
     let [reference, other] = pair.in_figures();
-    let images = if pair.num_images == 1 { "1 image".to_owned() } else { format!("{} images", pair.num_images) };
+    let images = counted(pair.num_images, "image");
     format!("intrinsics of {images}: {reference}, here {other}")
 }
 

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
 
+use crate::math::rounding::counted;
 use crate::memory::MemoryLimit;
 use crate::pipeline::TelemetryChoice;
 use crate::pipeline::driver::fingerprint;
@@ -305,13 +306,10 @@ fn say(found: &Telemetry, outcome: &mut Outcome) {
     let name = path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     outcome.figure("telemetry", serde_json::json!({ "file": name, "found": whence, "num_fixes": log.fixes.len() }));
     if let Some(first) = log.passed_over.first() {
-        let text = format!("{}: {} skipped, the first: {first}", path.display(), positions(log.num_passed_over));
+        let text =
+            format!("{}: {} skipped, the first: {first}", path.display(), counted(log.num_passed_over, "position"));
         outcome.warn(Topic::TelemetryLinesSkipped.warning(text));
     }
-}
-
-fn positions(number: usize) -> String {
-    format!("{number} {}", if number == 1 { "position" } else { "positions" })
 }
 
 /// An error with what the system says.

@@ -58,35 +58,8 @@ pub enum MotionChoice {
     Off,
 }
 
-impl FromStr for MaskChoice {
-    type Err = String;
-
-    /// `default`, `small` or `none`.
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "default" => Ok(Self::Default),
-            "small" => Ok(Self::Small),
-            "none" => Ok(Self::None),
-            _ => Err(format!("'{text}': expected default, small or none")),
-        }
-    }
-}
-
-impl FromStr for MotionChoice {
-    type Err = String;
-
-    /// `on` or `off`.
-    fn from_str(text: &str) -> Result<Self, String> {
-        match text {
-            "on" => Ok(Self::On),
-            "off" => Ok(Self::Off),
-            _ => Err(format!("'{text}': expected on or off")),
-        }
-    }
-}
-
 /// Detection of vehicles where `instances` is `vehicles`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct VehicleOptions {
     /// Vehicle detector.
@@ -98,17 +71,6 @@ pub struct VehicleOptions {
     /// Frames between two runs of the mask network; `null` for 0.4 s, 2 to 12 frames. Masks are propagated in between.
     #[schemars(extend("unit" = "frames"))]
     pub segment_every: Option<u32>,
-}
-
-impl Default for VehicleOptions {
-    fn default() -> Self {
-        Self {
-            detector: DetectorChoice::Default,
-            motion: MotionChoice::On,
-            mask_network: MaskChoice::Default,
-            segment_every: None,
-        }
-    }
 }
 
 impl VehicleOptions {
@@ -131,9 +93,8 @@ mod tests {
     }
 
     #[test]
-    fn choices_are_words_or_files() {
+    fn detectors_are_words_or_files() {
         assert_eq!("none".parse(), Ok(DetectorChoice::None));
         assert_eq!("nets/none.onnx".parse(), Ok(DetectorChoice::File("nets/none.onnx".into())));
-        assert!("colours".parse::<MaskChoice>().is_err() && "maybe".parse::<MotionChoice>().is_err());
     }
 }

@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::background::{self, ModelReport};
 use super::{ground, objects, scale, track};
 use crate::eval::Evaluation;
-use crate::io::{ExportFolder, IoError, json};
+use crate::io::{ExportFolder, IoError, atomic, json};
 use crate::math::rounding::with_std;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::reopen::{InputJson, check_input};
@@ -78,7 +78,12 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> 
         parts: model_parts(run, &reports),
         ..models(run, &background, background_report, &tracked)?
     };
-    run.workspace.put_file(&run.workspace.report(), |fresh| report::write(fresh, &data))
+    put_page(run, &data)
+}
+
+fn put_page(run: &Run, data: &Data) -> Result<(), PipelineError> {
+    let text = report::render(data)?;
+    run.workspace.put_file(&run.workspace.report(), |fresh| atomic::write(fresh, text.as_bytes()))
 }
 
 /// Data of every page: those of a page of models, without objects and files.
@@ -160,9 +165,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         is_sfm: false,
         ..models(run, &background, background_report, &tracked)?
     };
-    let path = run.workspace.report();
-    run.workspace.put_file(&path, |fresh| report::write(fresh, &data))?;
-    Ok(Outcome { outputs: vec![path], ..Outcome::default() })
+    put_page(run, &data)?;
+    Ok(Outcome { outputs: vec![run.workspace.report()], ..Outcome::default() })
 }
 
 fn object_models(

@@ -5,14 +5,12 @@
 pub(super) mod charts;
 mod scene;
 
-use std::path::Path;
-
 use minijinja::{Value, context};
 use serde::Serialize;
 
+use super::ReportError;
 use super::page::{STYLE, VIEW_SCRIPTS, fill, json, policy};
 use super::words::{UNKNOWN, count, percent, thousands};
-use super::{ReportError, write_page};
 use crate::eval::comparison::{Against, Comparison, ImageDifference, LengthUnit};
 use crate::scene::Reconstruction;
 
@@ -42,14 +40,6 @@ pub struct Data<'a> {
 /// [`ReportError::Template`].
 pub fn render(data: &Data) -> Result<String, ReportError> {
     fill(TEMPLATE, page_context(data))
-}
-
-/// Writes the page, by rename: one that stands there is whole.
-///
-/// # Errors
-/// [`ReportError::Write`] if the folder is missing or may not be written to.
-pub fn write(path: &Path, data: &Data) -> Result<(), ReportError> {
-    write_page(path, &render(data)?)
 }
 
 pub(super) fn colour(side: usize) -> &'static str {

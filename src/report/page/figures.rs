@@ -43,8 +43,7 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
 fn ground_tracks(data: &Data) -> String {
     match data.objects.iter().filter(|o| o.ground_track.is_some()).count() {
         0 => String::new(),
-        1 => "; 1 ground track".to_owned(),
-        more => format!("; {more} ground tracks"),
+        number => format!("; {}", count(number, "ground track")),
     }
 }
 

@@ -49,7 +49,9 @@ pub(super) fn fill(template: &str, context: Value) -> Result<String, ReportError
     environment.add_template("brand", include_str!("brand.html"))?;
     environment.add_template("drawing", include_str!("drawing.html"))?;
     environment.add_template("page", template)?;
-    Ok(environment.get_template("page")?.render(context)?)
+    let text = environment.get_template("page")?.render(context)?;
+    // HTML has no control characters; names of files can.
+    Ok(text.replace(|letter: char| letter.is_control() && !matches!(letter, '\n' | '\t' | '\r'), "\u{fffd}"))
 }
 
 fn page_context(data: &Data) -> Value {

@@ -7,6 +7,7 @@ use ::image::RgbImage;
 
 use super::cached_prompts::{CachedSegmenter, Pass};
 use crate::io::{IoError, RunFolder, masks};
+use crate::math::rounding::counted;
 use crate::networks::{BoxSegmenter, KnownMasks};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
@@ -153,7 +154,7 @@ pub(super) fn follow(
 fn say_passed_over(IgnoredBoxes { num_boxes, max_confidence }: IgnoredBoxes, run: &Run, outcome: &mut Outcome) {
     if num_boxes > 0 {
         outcome.figure("num_standing_boxes", num_boxes);
-        let detections = if num_boxes == 1 { "1 detection".to_owned() } else { format!("{num_boxes} detections") };
+        let detections = counted(num_boxes, "detection");
         outcome.warn(Topic::DetectionsIgnored.warning(format!(
             "{detections} ignored: stationary, detector score at most {max_confidence:.2} (threshold \
              tracker.start_standing = {})",
