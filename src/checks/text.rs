@@ -1,4 +1,4 @@
-//! Text that goes to a terminal.
+//! Text for people.
 
 use std::borrow::Cow;
 
@@ -22,6 +22,20 @@ fn is_unprintable(letter: char) -> bool {
     // Marks that turn the direction of writing change what is read as well.
     let turns = matches!(letter, '\u{202a}'..='\u{202e}' | '\u{2066}'..='\u{2069}');
     turns || (letter.is_control() && !matches!(letter, '\n' | '\t'))
+}
+
+/// An error with its causes, as one line. Causes that the text already carries are not repeated.
+pub fn with_causes(error: &dyn std::error::Error) -> String {
+    let mut text = error.to_string();
+    let mut cause = error.source();
+    while let Some(next) = cause {
+        let more = next.to_string();
+        if !text.contains(&more) {
+            text = format!("{text}: {more}");
+        }
+        cause = next.source();
+    }
+    text
 }
 
 #[cfg(test)]

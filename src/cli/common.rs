@@ -1,5 +1,6 @@
 //! Flags that `run`, the commands that do a part of it, and `benchmark` have in common.
 
+use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
@@ -92,6 +93,11 @@ fn assignment(text: &str) -> Result<(String, String), String> {
 fn method(text: &str) -> Result<Method, String> {
     let found = Method::ALL.into_iter().find(|method| method.name() == text);
     found.ok_or_else(|| format!("'{text}': expected one of {}", Method::ALL.map(Method::name).join(", ")))
+}
+
+/// The words of a command line, for people.
+pub(super) fn lossy(arguments: &[OsString]) -> Vec<String> {
+    arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect()
 }
 
 /// Parses a value by its name in options and files.

@@ -4,7 +4,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::Value;
 
-use super::common::named;
+use super::common::{lossy, named};
 use super::output::{Failure, Form, show};
 use super::paired_times::{self, Times};
 use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
@@ -56,7 +56,7 @@ pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> 
     let comparison = compare(&reference, &others, unit, args.match_by);
     if let Some(path) = &args.page {
         let models = std::iter::once(&reference.model).chain(others.iter().map(|side| &side.model)).collect();
-        let arguments = arguments.iter().map(|a| a.to_string_lossy().into_owned()).collect();
+        let arguments = lossy(arguments);
         let text = page::render(&page::Data { comparison: &comparison, models, arguments })?;
         atomic::write(path, text.as_bytes())?;
     }

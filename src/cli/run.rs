@@ -3,6 +3,7 @@
 use std::ffi::OsString;
 use std::path::Path;
 
+use super::common::lossy;
 use super::job::{JobArgs, resolve, use_machine};
 use super::models;
 use super::output::{Failure, Form, show};
@@ -39,7 +40,7 @@ pub(super) fn run_on(
     form: Form,
     talk: &TerminalProgress,
 ) -> Result<(), Failure> {
-    let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
+    let arguments = lossy(arguments);
     let task = Job {
         input,
         output: &job.output,

@@ -30,7 +30,7 @@ pub struct Evaluation {
     /// Which of the run's objects is the target.
     pub target: Outcome<Target>,
     /// The run's other objects.
-    pub others: Vec<OtherObject>,
+    pub others: Vec<Target>,
     /// The run's scale ratio.
     pub scale: Outcome<ScaleFigures>,
     /// The ratio that a perfect estimator would find.
@@ -100,21 +100,12 @@ pub struct RegisteredFrames {
     pub unmatched: Vec<String>,
 }
 
-/// The run's object that is the target.
+/// An object of the run: the target, or another one.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Target {
     /// Its id.
     pub object: ObjectId,
     /// Overlap of its masks with the target's, over all frames; `None` if there were none to compare.
-    pub iou: Option<f64>,
-}
-
-/// An object that is not the target.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-pub struct OtherObject {
-    /// Its id.
-    pub object: ObjectId,
-    /// Overlap of its masks with the target's.
     pub iou: Option<f64>,
 }
 

@@ -30,8 +30,7 @@ pub mod trajectory;
 
 pub use cameras::CameraErrors;
 pub use figures::{
-    Alternative, AsReconstructedFigures, Evaluation, OtherObject, ReferenceFigures, RegisteredFrames, ScaleFigures,
-    Target,
+    Alternative, AsReconstructedFigures, Evaluation, ReferenceFigures, RegisteredFrames, ScaleFigures, Target,
 };
 pub use input::{AsReconstructed, Input, Model, ObjectInput, TruthFrame};
 pub use mesh::MeshIndex;
@@ -102,7 +101,7 @@ fn camera_pairs(input: &Input) -> Vec<(Rigid3, Rigid3)> {
 
 /// The object whose masks overlap the target's most. Without any mask to compare, object 1, which is what the target is
 /// called in given masks.
-fn choose_target(objects: &[ObjectInput]) -> (Result<&ObjectInput, String>, Vec<OtherObject>) {
+fn choose_target(objects: &[ObjectInput]) -> (Result<&ObjectInput, String>, Vec<Target>) {
     let overlapping =
         objects.iter().filter(|o| o.iou.is_some()).max_by(|a, b| a.iou.partial_cmp(&b.iou).expect("finite"));
     let target = match overlapping {
@@ -117,7 +116,7 @@ fn choose_target(objects: &[ObjectInput]) -> (Result<&ObjectInput, String>, Vec<
         }
     };
     let is_target = |o: &&ObjectInput| target.as_ref().is_ok_and(|t| t.id == o.id);
-    let others = objects.iter().filter(|o| !is_target(o)).map(|o| OtherObject { object: o.id, iou: o.iou }).collect();
+    let others = objects.iter().filter(|o| !is_target(o)).map(|o| Target { object: o.id, iou: o.iou }).collect();
     (target, others)
 }
 

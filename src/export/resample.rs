@@ -10,7 +10,7 @@ use std::ops::RangeInclusive;
 use nalgebra::{Point3, Vector3};
 
 use super::{RegisteredFrame, Results};
-use crate::math::{Rigid3, Sim3, median};
+use crate::math::{Rigid3, Sim3};
 use crate::scene::{
     ContactError, Frame, GroundPosition, MapPlace, MetricPose, Motion, ObjectPose, ObjectTrajectory, Trajectories,
 };
@@ -30,8 +30,7 @@ impl Results {
     /// Results with positions of vehicles and camera at `rate` samples per second; `None` if these would be too many.
     /// Frame, image and intrinsics of a sample are those of the nearer frame.
     pub fn resampled(&self, rate: f64) -> Option<Self> {
-        let times: Vec<f64> = self.views.iter().map(|view| view.frame.time_s).collect();
-        let step = median(times.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or(0.0);
+        let step = self.median_step().unwrap_or(0.0);
         let grid = Grid { rate, max_gap_s: MAX_STEP * step };
         let trajectories = &self.trajectories;
         let object = |object: &ObjectTrajectory| {
@@ -109,12 +108,8 @@ impl Moment {
         std::array::from_fn(|k| self.number(a[k], b[k]))
     }
 
-    fn if_both<T>(&self, a: Option<T>, b: Option<T>, between: impl FnOnce(T, T) -> T) -> Option<T> {
-        Some(between(a?, b?))
-    }
-
     fn optional(&self, a: Option<f64>, b: Option<f64>) -> Option<f64> {
-        self.if_both(a, b, |a, b| self.number(a, b))
+        a.zip(b).map(|(a, b)| self.number(a, b))
     }
 
     /// Degrees, the shorter way around, from `least` on.
@@ -142,7 +137,7 @@ fn pose_between(a: &ObjectPose, b: &ObjectPose, at: &Moment) -> ObjectPose {
         world_from_object: Sim3::new(scale, rotation, Vector3::from(position) - rotation * center.coords * scale),
         position,
         speed: at.optional(a.speed, b.speed),
-        metric: at.if_both(a.metric, b.metric, |a, b| metric_between(&a, &b, at)),
+        metric: a.metric.zip(b.metric).map(|(a, b)| metric_between(&a, &b, at)),
     }
 }
 
@@ -160,7 +155,7 @@ fn contact_between(a: &GroundPosition, b: &GroundPosition, at: &Moment) -> Groun
         time_s: at.time_s,
         position: at.numbers(a.position, b.position),
         error,
-        metric: at.if_both(a.metric, b.metric, |a, b| metric_between(&a, &b, at)),
+        metric: a.metric.zip(b.metric).map(|(a, b)| metric_between(&a, &b, at)),
     }
 }
 
@@ -170,8 +165,8 @@ fn metric_between(a: &MetricPose, b: &MetricPose, at: &Moment) -> MetricPose {
         position_std_m: at.numbers(a.position_std_m, b.position_std_m),
         distance_to_camera_m: at.number(a.distance_to_camera_m, b.distance_to_camera_m),
         distance_to_camera_std_m: at.number(a.distance_to_camera_std_m, b.distance_to_camera_std_m),
-        motion: at.if_both(a.motion, b.motion, |a, b| motion_between(&a, &b, at)),
-        place: at.if_both(a.place, b.place, |a, b| MapPlace {
+        motion: a.motion.zip(b.motion).map(|(a, b)| motion_between(&a, &b, at)),
+        place: a.place.zip(b.place).map(|(a, b)| MapPlace {
             longitude: at.angle_deg(a.longitude, b.longitude, -180.0),
             latitude: at.number(a.latitude, b.latitude),
             height_m: at.number(a.height_m, b.height_m),
@@ -189,7 +184,7 @@ fn motion_between(a: &Motion, b: &Motion, at: &Moment) -> Motion {
         raw_speed_m_s: at.number(a.raw_speed_m_s, b.raw_speed_m_s),
         acceleration_m_s2: at.number(a.acceleration_m_s2, b.acceleration_m_s2),
         acceleration_std_m_s2: at.number(a.acceleration_std_m_s2, b.acceleration_std_m_s2),
-        heading_deg: at.if_both(a.heading_deg, b.heading_deg, |a, b| at.angle_deg(a, b, 0.0)),
+        heading_deg: a.heading_deg.zip(b.heading_deg).map(|(a, b)| at.angle_deg(a, b, 0.0)),
         heading_std_deg: at.optional(a.heading_std_deg, b.heading_std_deg),
         yaw_rate_deg_s: at.optional(a.yaw_rate_deg_s, b.yaw_rate_deg_s),
         yaw_rate_std_deg_s: at.optional(a.yaw_rate_std_deg_s, b.yaw_rate_std_deg_s),

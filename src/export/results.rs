@@ -9,7 +9,7 @@ use serde::Deserialize;
 use super::{Clock, ExportError, Units};
 use crate::camera::Camera;
 use crate::io::{IoError, RunFolder, json};
-use crate::math::{Rigid3, Sim3};
+use crate::math::{Rigid3, Sim3, median};
 use crate::scene::{
     Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricPose, Motion,
     ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Trust, Unit,
@@ -224,12 +224,17 @@ impl Results {
         })
     }
 
-    /// Seconds at which a moving image shows a time of the input.
+    /// A time of the input in seconds; inputs without times have [`FRAMES_PER_S`].
     pub(super) fn seconds(&self, time_s: f64) -> f64 {
         match self.time_base {
             TimeBase::Seconds => time_s,
             TimeBase::Frames => time_s / FRAMES_PER_S,
         }
+    }
+
+    /// Median time between two registered frames, seconds.
+    pub(super) fn median_step(&self) -> Option<f64> {
+        median(self.views.windows(2).map(|pair| pair[1].frame.time_s - pair[0].frame.time_s).collect())
     }
 
     /// Positions of a vehicle on the map.

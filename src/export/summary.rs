@@ -14,6 +14,7 @@ use serde_json::{Value, json};
 use super::geojson::vehicle_properties;
 use super::table::{FACT_COLUMNS, fact_cells, text};
 use super::{ExportError, Facts, Results};
+use crate::checks::text::with_causes;
 use crate::io::{RunFolder, json as json_file};
 use crate::scene::{GroundTrack, MapPlace, ObjectId, ObjectTrajectory, warning_text};
 
@@ -264,20 +265,6 @@ fn ground_track_in_words(track: &GroundTrack) -> String {
     let verdict = track.verdict.as_ref();
     let said = verdict.map(|verdict| format!(" ({}: {})", verdict.state.name(), verdict.says)).unwrap_or_default();
     format!("ground track of {} frames{said}, see trajectories.json", track.positions.len())
-}
-
-/// An error with its causes, as one line.
-fn with_causes(error: &dyn std::error::Error) -> String {
-    let mut said = error.to_string();
-    let mut cause = error.source();
-    while let Some(next) = cause {
-        let more = next.to_string();
-        if !said.contains(&more) {
-            said = format!("{said}: {more}");
-        }
-        cause = next.source();
-    }
-    said
 }
 
 #[cfg(test)]

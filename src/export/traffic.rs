@@ -12,7 +12,6 @@ use super::table::write as write_table;
 use super::xml::{self, Xml};
 use super::{ExportError, Results};
 use crate::io::{ExportFolder, atomic};
-use crate::math::median;
 use crate::scene::{Motion, ObjectTrajectory};
 
 /// A vehicle at a time.
@@ -160,10 +159,7 @@ pub(super) fn write_levelx(folder: &Path, results: &Results) -> Result<(), Expor
 
 /// Frames per second: the inverse of the median step.
 fn frame_rate(results: &Results) -> f64 {
-    let times: Vec<f64> = results.views.iter().map(|view| view.frame.time_s).collect();
-    median(times.windows(2).map(|pair| pair[1] - pair[0]).collect())
-        .filter(|step| *step > 0.0)
-        .map_or(1.0, |step| 1.0 / step)
+    results.median_step().filter(|step| *step > 0.0).map_or(1.0, |step| 1.0 / step)
 }
 
 fn is_vulnerable(class: &str) -> bool {

@@ -88,11 +88,7 @@ fn sync_placed(folder: &Path) -> Result<(), IoError> {
 /// # Errors
 /// [`IoError::System`] names the file.
 pub fn remove(path: &Path) -> Result<(), IoError> {
-    match fs::remove_file(path) {
-        Ok(()) => sync_folder(parent(path)),
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
-        Err(error) => Err(IoError::system("remove", path)(error)),
-    }
+    removed(path, fs::remove_file(path))
 }
 
 /// As [`remove`], of a folder with all that is in it.
@@ -100,7 +96,11 @@ pub fn remove(path: &Path) -> Result<(), IoError> {
 /// # Errors
 /// As [`remove`].
 pub fn remove_folder(path: &Path) -> Result<(), IoError> {
-    match fs::remove_dir_all(path) {
+    removed(path, fs::remove_dir_all(path))
+}
+
+fn removed(path: &Path, result: std::io::Result<()>) -> Result<(), IoError> {
+    match result {
         Ok(()) => sync_folder(parent(path)),
         Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(()),
         Err(error) => Err(IoError::system("remove", path)(error)),

@@ -5,6 +5,7 @@ use std::path::Path;
 
 use super::stages::report;
 use super::{PipelineError, Workspace};
+use crate::checks::text::with_causes;
 use crate::eval::{self, AsReconstructed, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame};
 use crate::io::{IoError, RunFolder, Sequence, SequenceFrame, atomic, masks};
 use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Trajectories};
@@ -53,7 +54,7 @@ pub fn keep_evaluation(output: &Path, truth: &Path, evaluation: &Evaluation) -> 
 
 /// Reads what there is of a run. A part that is missing or broken is noted as such.
 fn gather(output: &RunFolder, sequence: &Sequence) -> Result<Input, IoError> {
-    let all = output.read_trajectories().map_err(|e| reason(&e));
+    let all = output.read_trajectories().map_err(|e| with_causes(&e));
     let ids = object_ids(output, all.as_ref().ok());
     let masks = MaskFigures::read(output, &ids, sequence)?;
     let truth = |frame: &SequenceFrame| TruthFrame {
@@ -62,7 +63,7 @@ fn gather(output: &RunFolder, sequence: &Sequence) -> Result<Input, IoError> {
         target_px2: masks.target_px2[&frame.id],
         visible_share: frame.visible_share,
     };
-    let mesh = sequence.mesh().map_err(|e| reason(&e));
+    let mesh = sequence.mesh().map_err(|e| with_causes(&e));
     Ok(Input {
         sequence: sequence.name.clone(),
         vehicle: sequence.vehicle.clone(),
@@ -73,17 +74,6 @@ fn gather(output: &RunFolder, sequence: &Sequence) -> Result<Input, IoError> {
     })
 }
 
-/// An error with its causes, as one line.
-fn reason(error: &IoError) -> String {
-    let mut text = error.to_string();
-    let mut source = std::error::Error::source(error);
-    while let Some(cause) = source {
-        text += &format!(": {cause}");
-        source = cause.source();
-    }
-    text
-}
-
 /// Objects with a model, a trajectory or a track.
 fn object_ids(output: &RunFolder, trajectories: Option<&Trajectories>) -> BTreeSet<ObjectId> {
     let from_trajectories = trajectories.into_iter().flat_map(|t| t.objects.iter().map(|o| o.id));
@@ -91,7 +81,7 @@ fn object_ids(output: &RunFolder, trajectories: Option<&Trajectories>) -> BTreeS
 }
 
 fn model(read: Result<Reconstruction, IoError>, sequence: &Sequence) -> Result<Model, String> {
-    let reconstruction = read.map_err(|e| reason(&e))?;
+    let reconstruction = read.map_err(|e| with_causes(&e))?;
     Ok(Model::new(&reconstruction, |name| sequence.frame_named(name).map(|f| f.id)))
 }
 

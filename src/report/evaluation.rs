@@ -166,7 +166,7 @@ mod tests {
         let unavailable = || "the target was not found".to_owned();
         evaluation.target = Outcome::Unavailable { reason: unavailable() };
         evaluation.trajectory = Outcome::Unavailable { reason: unavailable() };
-        evaluation.others = vec![crate::eval::OtherObject { object: ObjectId(3), iou: None }];
+        evaluation.others = vec![crate::eval::Target { object: ObjectId(3), iou: None }];
         let facts = facts(&evaluation);
         let path = value(&facts, "trajectory error of the vehicle");
         assert_eq!((path.value.as_str(), path.note.as_deref()), (UNKNOWN, Some("the target was not found")));

@@ -1,7 +1,7 @@
-//! Measures of trajectories and models.
+//! Measures of trajectories.
 
 use super::timeline::Timeline;
-use crate::scene::{Image, ObjectPose, ObjectTrajectory, Observation, Reconstruction};
+use crate::scene::{ObjectPose, ObjectTrajectory};
 
 /// Speed over time, in units of length per unit of time: the distance between the neighbours of a pose over the time
 /// between them.
@@ -12,18 +12,6 @@ pub(super) fn speeds(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Vec<
         speed.is_finite().then_some((timeline.of(w[1].frame)?, speed))
     };
     trajectory.poses.windows(3).filter_map(between).collect()
-}
-
-/// Mean reprojection error of a model's image, pixels; `None` where nothing is observed.
-pub(super) fn reprojection_error(model: &Reconstruction, image: &Image) -> Option<f64> {
-    let camera = model.cameras.get(&image.camera)?;
-    let error = |o: &Observation| {
-        let point = model.points.get(&o.point?)?;
-        let seen = camera.pixel_from_cam(image.cam_from_world * point.position)?;
-        Some((seen - o.pixel).norm()).filter(|e| e.is_finite())
-    };
-    let errors: Vec<f64> = image.observations.iter().filter_map(error).collect();
-    (!errors.is_empty()).then(|| errors.iter().sum::<f64>() / errors.len() as f64)
 }
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use super::data::{Data, Object};
 use super::metres::{Ruler, frame as metric_frame};
 use super::overlay::{css_colour, object_colour, spread};
 use super::view::{View, quantile};
-use crate::scene::{GroundTrack, MetricAxes};
+use crate::scene::{GroundTrack, MetricAxes, ObjectId};
 use nalgebra::{Point3, Vector3};
 
 /// Units of a plan per unit of the view, where the plan shows the whole scene; `page.js` moves markers in them.
@@ -179,18 +179,7 @@ impl<'a> Paper<'a> {
     }
 
     fn ground_path(&self, track: &GroundTrack, arrow: f64) -> Option<PlanPath> {
-        let positions = self.contacts(track);
-        let (start, end) = (*positions.first()?, *positions.last()?);
-        Some(PlanPath {
-            id: track.id.0,
-            colour: css_colour(object_colour(track.id)),
-            degenerate: false,
-            ground: true,
-            path: polyline(&positions),
-            start: start.map(tenth),
-            end: end.map(tenth),
-            arrow: arrow_head(&positions, arrow),
-        })
+        Some(PlanPath { ground: true, ..Self::line(track.id, &self.contacts(track), arrow)? })
     }
 
     fn positions(&self, object: &Object) -> Vec<[f64; 2]> {
@@ -199,17 +188,22 @@ impl<'a> Paper<'a> {
     }
 
     fn path(&self, object: &Object, arrow: f64) -> Option<PlanPath> {
-        let positions = self.positions(object);
+        let degenerate = object.trajectory.is_some_and(|trajectory| trajectory.is_ruled_out());
+        Some(PlanPath { degenerate, ..Self::line(object.id, &self.positions(object), arrow)? })
+    }
+
+    /// A path that is neither degenerate nor on the ground.
+    fn line(id: ObjectId, positions: &[[f64; 2]], arrow: f64) -> Option<PlanPath> {
         let (start, end) = (*positions.first()?, *positions.last()?);
         Some(PlanPath {
-            id: object.id.0,
-            colour: css_colour(object_colour(object.id)),
-            degenerate: object.trajectory.is_some_and(|trajectory| trajectory.is_ruled_out()),
+            id: id.0,
+            colour: css_colour(object_colour(id)),
+            degenerate: false,
             ground: false,
-            path: polyline(&positions),
+            path: polyline(positions),
             start: start.map(tenth),
             end: end.map(tenth),
-            arrow: arrow_head(&positions, arrow),
+            arrow: arrow_head(positions, arrow),
         })
     }
 

@@ -10,6 +10,7 @@ use serde_json::json;
 use super::Args;
 use super::list::{Entry, List, at};
 use super::{resources, words};
+use crate::cli::common::lossy;
 use crate::cli::job::{self, JobArgs, apply_flags, lay_over, resolve_over, use_machine};
 use crate::cli::output::{Failure, Form, show};
 use crate::cli::run;
@@ -217,10 +218,6 @@ fn first_line(error: &clap::Error) -> String {
     let said = error.render().to_string();
     let first = said.lines().next().unwrap_or_default();
     first.strip_prefix("error: ").unwrap_or(first).to_owned()
-}
-
-fn lossy(arguments: &[OsString]) -> Vec<String> {
-    arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect()
 }
 
 #[cfg(test)]

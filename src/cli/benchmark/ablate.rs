@@ -12,7 +12,7 @@ use super::single::{Attempt, sequence};
 use crate::cli::output::Failure;
 use crate::cli::terminal::TerminalProgress;
 use crate::eval::benchmark::{AblatedRun, Ablations, Effect, Entry};
-use crate::io::{self, FolderError, OwnedFolder, RunFolder, atomic};
+use crate::io::{self, FolderError, OwnedFolder, RunFolder};
 use crate::pipeline::{Ablation, Options};
 use crate::report::benchmark as pages;
 
@@ -92,8 +92,8 @@ impl Ablating {
 
     fn write(&self, output: &OwnedFolder, with: &[Entry]) -> Result<(), FolderError> {
         let page = format!("# Ablation\n\ntractrix {}\n\n{}", crate::VERSION, self.table(with));
-        output.put_file(Path::new(JSON), |fresh| Ok::<_, FolderError>(atomic::write_json(fresh, &self.found)?))?;
-        output.put_file(Path::new(MARKDOWN), |fresh| Ok::<_, FolderError>(atomic::write(fresh, page.as_bytes())?))
+        output.put_json(JSON, &self.found)?;
+        output.put_text(MARKDOWN, &page)
     }
 }
 

@@ -16,12 +16,12 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 use serde_json::json;
 
-use super::common::CommonArgs;
+use super::common::{CommonArgs, lossy};
 use super::job::use_machine;
 use super::output::{Failure, Form, show};
 use super::terminal::TerminalProgress;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
-use crate::io::{self, FolderError, OwnedFolder, PathRole, RunFolder, atomic, refuse_own_input};
+use crate::io::{self, OwnedFolder, PathRole, RunFolder, refuse_own_input};
 use crate::pipeline::{Ablation, Method, Options};
 use crate::report::benchmark as pages;
 use crate::scene::Topic;
@@ -114,7 +114,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
     let output = OwnedFolder::open(&args.output, "tractrix benchmark", place)?;
     use_machine(&options)?;
     talk.ends_in_order();
-    let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
+    let arguments = lossy(arguments);
     let mut benchmark = Benchmark {
         version: VERSION,
         label: args.label.clone(),
@@ -220,12 +220,8 @@ fn place(relative: &Path) -> PathRole {
 }
 
 fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> anyhow::Result<()> {
-    let put = |name: &str, text: String| {
-        output.put_file(Path::new(name), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
-    };
-    output.put_file(Path::new(JSON), |fresh| {
-        Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(benchmark))?)
-    })?;
+    let put = |name: &str, text: String| output.put_text(name, &text);
+    output.put_json(JSON, &with_summary(benchmark))?;
     put(MARKDOWN, pages::markdown(benchmark, &with_paper(benchmark, others)))?;
     put(TRAJECTORY_ERROR, pages::trajectory_error_chart(benchmark)?)?;
     put(SCALE_DEVIATION, pages::scale_deviation_chart(benchmark)?)?;

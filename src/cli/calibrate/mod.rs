@@ -20,13 +20,13 @@ use self::case::Setting;
 use self::variant::{Kind, Variant};
 use super::benchmark::sequences::find;
 use super::benchmark::single::stands_in_every_way;
-use super::common::{CommonArgs, named};
+use super::common::{CommonArgs, lossy, named};
 use super::job::use_machine;
 use super::output::{Failure, Form, show};
 use super::terminal::TerminalProgress;
 use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
 use crate::eval::spread::RunResult;
-use crate::io::{FolderError, OwnedFolder, PathRole, RunFolder, atomic};
+use crate::io::{OwnedFolder, PathRole, RunFolder};
 use crate::pipeline::Overwrite;
 use crate::report::benchmark as pages;
 use crate::scene::{StationaryVehicles, Topic};
@@ -87,7 +87,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
     let output = OwnedFolder::open(&args.output, "tractrix calibrate", place)?;
     use_machine(&options)?;
     talk.ends_in_order();
-    let arguments: Vec<String> = arguments.iter().map(|argument| argument.to_string_lossy().into_owned()).collect();
+    let arguments = lossy(arguments);
     let setting = Setting {
         results: &output,
         options: &options,
@@ -175,12 +175,8 @@ fn place(relative: &Path) -> PathRole {
 }
 
 fn write(calibration: &Calibration, output: &OwnedFolder) -> anyhow::Result<()> {
-    let put = |name: &str, text: String| {
-        output.put_file(Path::new(name), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
-    };
-    output.put_file(Path::new(JSON), |fresh| {
-        Ok::<_, FolderError>(atomic::write_json(fresh, &with_summary(calibration))?)
-    })?;
+    let put = |name: &str, text: String| output.put_text(name, &text);
+    output.put_json(JSON, &with_summary(calibration))?;
     put(MARKDOWN, pages::calibration(calibration))?;
     for (name, chart) in pages::breakdown_charts(calibration)? {
         put(&format!("{CURVES}{name}.svg"), chart)?;

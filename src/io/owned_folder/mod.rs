@@ -214,6 +214,22 @@ impl OwnedFolder {
         Ok(())
     }
 
+    /// As [`Self::put_file`], of a text.
+    ///
+    /// # Errors
+    /// As [`Self::put_file`].
+    pub fn put_text(&self, name: &str, text: &str) -> Result<(), FolderError> {
+        self.put_file(Path::new(name), |fresh| Ok(atomic::write(fresh, text.as_bytes())?))
+    }
+
+    /// As [`Self::put_file`], of a value as indented JSON.
+    ///
+    /// # Errors
+    /// As [`Self::put_file`].
+    pub fn put_json<T: Serialize>(&self, name: &str, value: &T) -> Result<(), FolderError> {
+        self.put_file(Path::new(name), |fresh| Ok(atomic::write_json(fresh, value)?))
+    }
+
     /// Puts a folder in its place, whole: `fill` gets an empty one. The program's own files that were there go; those
     /// of others stay.
     ///

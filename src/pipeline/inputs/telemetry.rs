@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::Point3;
 
+use crate::checks::text::with_causes;
 use crate::math::rounding::counted;
 use crate::memory::MemoryLimit;
 use crate::pipeline::TelemetryChoice;
@@ -125,7 +126,7 @@ fn named(path: &Path, run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
         }
         Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
         Err(error) => {
-            let text = format!("telemetry gives no scale: {}", with_cause(&error));
+            let text = format!("telemetry gives no scale: {}", with_causes(&error));
             outcome.warn(Topic::TelemetryUnreadable.warning(text));
             None
         }
@@ -136,7 +137,7 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
     paths.iter().find_map(|path| match telemetry::read_within(path, memory) {
         Ok(log) => Some(Telemetry { log, path: path.clone(), origin: Origin::Beside }),
         Err(error) => {
-            let text = format!("file next to the video ignored as telemetry: {}", with_cause(&error));
+            let text = format!("file next to the video ignored as telemetry: {}", with_causes(&error));
             let warning = Topic::TelemetryUnreadable.warning(text);
             match error {
                 // It may well be telemetry.
@@ -156,7 +157,7 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     match telemetry_inside(video, run.options.video.track) {
         Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
         Some(Err(error)) => {
-            let text = format!("data in the video ignored as telemetry: {}", with_cause(&error));
+            let text = format!("data in the video ignored as telemetry: {}", with_causes(&error));
             let warning = Topic::TelemetryUnreadable.warning(text);
             tracing::info!("{warning}");
             outcome.note(warning);
@@ -309,14 +310,6 @@ fn say(found: &Telemetry, outcome: &mut Outcome) {
         let text =
             format!("{}: {} skipped, the first: {first}", path.display(), counted(log.num_passed_over, "position"));
         outcome.warn(Topic::TelemetryLinesSkipped.warning(text));
-    }
-}
-
-/// An error with what the system says.
-fn with_cause(error: &TelemetryError) -> String {
-    match std::error::Error::source(error) {
-        Some(cause) => format!("{error}: {cause}"),
-        None => error.to_string(),
     }
 }
 

@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
+use crate::eval::comparison::error_of_image;
 use crate::report::chart::{Bars, Chart, Drawing, FrameState, Level, Line};
 use crate::report::data::{Data, Model, Object};
 use crate::report::measure;
@@ -262,7 +263,7 @@ impl Charts<'_> {
     fn reprojection(&self) -> Chart {
         let errors = |model: &Model| -> Vec<(f64, f64)> {
             let error = |(frame, image): (&Frame, Option<&Image>)| {
-                Some((self.timeline.of(frame.id)?, measure::reprojection_error(model.reconstruction, image?)?))
+                Some((self.timeline.of(frame.id)?, error_of_image(model.reconstruction, image?)?))
             };
             self.data.frames.iter().zip(model.images(self.data.frames)).filter_map(error).collect()
         };

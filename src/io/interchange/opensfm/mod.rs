@@ -179,22 +179,19 @@ fn covered_entry(camera: &Camera) -> CameraEntry {
     let [width, height] = [camera.width, camera.height].map(f64::from);
     let side = width.max(height);
     let ([fx, fy], [cx, cy], [k1, k2]) = (camera.focal, camera.principal, camera.radial);
-    let entry = CameraEntry { width: camera.width, height: camera.height, k1, k2, ..CameraEntry::default() };
     if fx == fy && [cx, cy] == [width / 2.0, height / 2.0] && camera.higher.are_zero() {
-        return CameraEntry { projection_type: "perspective".to_owned(), focal: Some(fx / side), ..entry };
+        return CameraEntry {
+            projection_type: "perspective".to_owned(),
+            focal: Some(fx / side),
+            width: camera.width,
+            height: camera.height,
+            k1,
+            k2,
+            ..CameraEntry::default()
+        };
     }
     let HigherTerms { k3, tangential: [p1, p2] } = camera.higher;
-    CameraEntry {
-        projection_type: "brown".to_owned(),
-        focal_x: Some(fx / side),
-        focal_y: Some(fy / side),
-        c_x: (cx - width / 2.0) / side,
-        c_y: (cy - height / 2.0) / side,
-        k3,
-        p1,
-        p2,
-        ..entry
-    }
+    CameraEntry { projection_type: "brown".to_owned(), k1, k2, k3, p1, p2, ..without_terms(camera) }
 }
 
 fn foreign_entry(form: Model, params: &[f64], camera: &Camera) -> Result<CameraEntry, String> {
