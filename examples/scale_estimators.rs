@@ -19,7 +19,7 @@ use rand::Rng as _;
 use rand_distr::StandardNormal;
 use tractrix::math::seeded_rng;
 use tractrix::scene::{FrameId, ScaleMethod};
-use tractrix::trajectory::{EstimatorInput, Options, View, Views, estimator};
+use tractrix::trajectory::{Options, View, Views, estimate};
 
 /// Draws of the noise for each motion.
 const NUM_DRAWS: u64 = 5;
@@ -61,7 +61,7 @@ fn answers(method: ScaleMethod, motions: &[Motion]) -> Vec<Answer> {
     let options = Options::default();
     let answer = |motion: &Motion, draw: u64, stream: u64| {
         let views = views(motion, draw, stream);
-        let found = estimator(method).estimate(&EstimatorInput::unchanged(&views), &options).ok()?;
+        let found = estimate(method, &views, &options).ok()?;
         let std = found.std.map(|std| std / found.ratio);
         std.is_none_or(|std| std <= options.max_relative_std).then(|| (found.ratio.ln().abs(), std))
     };

@@ -16,49 +16,19 @@
 //! What the paper leaves open, and how it is settled here:
 //! * Equal sums: the larger numerator wins.
 //! * A winner whose r is not positive: the next pair in the order is taken, since a ratio of lengths is positive.
-//! * Long clips: the number of pairs grows with the square of the frames. Beyond [`ConstantDistanceOptions::max_pairs`]
-//!   only those with the largest numerators are ranked, which are the best of the first ranking; beyond
-//!   [`ConstantDistanceOptions::max_ratios`] the spread is taken over every k-th point only. The final least squares
-//!   uses all points. Both limits lie far above a clip of 60 frames.
-
-use schemars::JsonSchema;
-use serde::{Deserialize, Serialize};
+//! * Long clips: the number of pairs grows with the square of the frames. Beyond [`MAX_PAIRS`] only those with the largest
+//!   numerators are ranked, which are the best of the first ranking; beyond [`MAX_RATIOS`] the spread is taken over
+//!   every k-th point only. The final least squares uses all points. Both limits lie far above a clip of 60 frames.
 
 use super::least_squares::LEAST_STD;
-use super::{Estimate, Estimator, EstimatorInput, LeastSquares, Options, ScaleError, View, Views, least_squares};
-use crate::checks::{Checked, within};
+use super::{Estimate, LeastSquares, Options, ScaleError, View, Views, least_squares};
 use crate::math::at_least;
-use crate::scene::{FrameId, ScaleMethod};
+use crate::scene::FrameId;
 
-/// Limits of the search; its result is the paper's as long as they are not reached.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
-#[serde(default, deny_unknown_fields)]
-pub struct ConstantDistanceOptions {
-    /// Most view pairs that are ranked.
-    #[schemars(extend("unit" = "pairs"))]
-    pub max_pairs: usize,
-    /// Most single ratios r_j that are computed for the second ranking.
-    #[schemars(extend("unit" = "ratios"))]
-    pub max_ratios: usize,
-}
-
-impl Default for ConstantDistanceOptions {
-    /// All pairs of 600 frames; a quarter of a second.
-    fn default() -> Self {
-        Self { max_pairs: 200_000, max_ratios: 50_000_000 }
-    }
-}
-
-impl ConstantDistanceOptions {
-    /// Rejects what cannot be worked with.
-    ///
-    /// # Errors
-    /// [`OptionError`](crate::checks::OptionError) names the option.
-    pub fn check(&self) -> Checked {
-        within("max_pairs", self.max_pairs, 1..=100_000_000)?;
-        within("max_ratios", self.max_ratios, 1..=1_000_000_000_000)
-    }
-}
+/// Most view pairs that are ranked: all of 600 frames, a quarter of a second.
+const MAX_PAIRS: usize = 200_000;
+/// Most single ratios r_j that are computed for the second ranking: 250 points in each of [`MAX_PAIRS`].
+const MAX_RATIOS: usize = 50_000_000;
 
 /// The answer of the best view pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,15 +37,9 @@ pub struct ConstantDistance {
     pub ratio: f64,
     /// The winning pair.
     pub pair: (FrameId, FrameId),
-    /// h_i′ − h_i of the pair, in units of the background.
-    pub numerator: f64,
-    /// Standard deviation of the pair's r_j over the points.
-    pub spread: f64,
     /// Mean over the points of (a_ji − a_ji′)², in squared units of the object: what the pair's uncertainty follows
     /// from.
     pub mean_denominator_sq: f64,
-    /// Pairs ranked.
-    pub num_pairs: usize,
     /// Better ranked pairs that were skipped because their r is not positive.
     pub num_passed_over: usize,
 }
@@ -84,11 +48,19 @@ pub struct ConstantDistance {
 ///
 /// # Errors
 /// [`ScaleError`] for fewer than two views, no points, or no pair with a positive ratio.
-pub fn constant_distance(views: &Views, options: &ConstantDistanceOptions) -> Result<ConstantDistance, ScaleError> {
+pub fn constant_distance(views: &Views) -> Result<ConstantDistance, ScaleError> {
+    constant_distance_within(views, MAX_PAIRS, MAX_RATIOS)
+}
+
+fn constant_distance_within(
+    views: &Views,
+    max_pairs: usize,
+    max_ratios: usize,
+) -> Result<ConstantDistance, ScaleError> {
     views.require(2)?;
-    let pairs = pairs_by_numerator(&views.views, options.max_pairs);
+    let pairs = pairs_by_numerator(&views.views, max_pairs);
     // At least a hundred points, or all, so that a spread means something even in the longest clip.
-    let per_pair = (options.max_ratios / pairs.len().max(1)).max(100);
+    let per_pair = (max_ratios / pairs.len().max(1)).max(100);
     let stride = views.points.len().div_ceil(per_pair);
     let spreads: Vec<f64> = pairs.iter().map(|&(i, k)| spread(views, i, k, stride)).collect();
     let solved = combined_order(&spreads)
@@ -100,15 +72,7 @@ pub fn constant_distance(views: &Views, options: &ConstantDistanceOptions) -> Re
         return Err(ScaleError::NoPositivePair { num_pairs: pairs.len() });
     };
     let (first, second) = (&views.views[pairs[idx].0], &views.views[pairs[idx].1]);
-    Ok(ConstantDistance {
-        ratio,
-        pair: (first.frame, second.frame),
-        numerator: numerator(first, second),
-        spread: spreads[idx],
-        mean_denominator_sq,
-        num_pairs: pairs.len(),
-        num_passed_over,
-    })
+    Ok(ConstantDistance { ratio, pair: (first.frame, second.frame), mean_denominator_sq, num_passed_over })
 }
 
 impl ConstantDistance {
@@ -119,29 +83,18 @@ impl ConstantDistance {
     }
 }
 
-/// Row of the registry.
-pub(super) struct ConstantDistanceMethod;
+/// Ratio of the best pair, with the standard deviation that the fit over all frames gives it.
+pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
+    let found = constant_distance(views)?;
+    let all_frames = least_squares(views, &options.least_squares).ok();
+    Ok(Estimate::new(found.ratio, all_frames.map(|fit| found.std(&fit, views, found.ratio))))
+}
 
-impl Estimator for ConstantDistanceMethod {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::ConstantDistance
-    }
-
-    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
-        let found = constant_distance(input.views, &options.constant_distance)?;
-        let all_frames = least_squares(input.views, &options.least_squares).ok();
-        Ok(Estimate::new(found.ratio, all_frames.map(|fit| found.std(&fit, input.views, found.ratio))))
-    }
-
-    fn needs_climb(&self) -> bool {
-        true
-    }
-
-    fn std_in_verdict(&self, ratio: f64, views: &Views, options: &Options) -> Option<f64> {
-        let all_frames = least_squares(views, &options.least_squares).ok()?;
-        let pair = constant_distance(views, &options.constant_distance).ok()?;
-        Some(at_least(LEAST_STD, pair.std(&all_frames, views, ratio) / ratio))
-    }
+/// Relative standard deviation in a verdict.
+pub(super) fn std_in_verdict(ratio: f64, views: &Views, options: &Options) -> Option<f64> {
+    let all_frames = least_squares(views, &options.least_squares).ok()?;
+    let pair = constant_distance(views).ok()?;
+    Some(at_least(LEAST_STD, pair.std(&all_frames, views, ratio) / ratio))
 }
 
 fn numerator(first: &View, second: &View) -> f64 {
@@ -242,7 +195,7 @@ mod tests {
     fn error(options: &Options, seed: u64) -> f64 {
         let world = drive(options, seed);
         let views = Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
-        let found = constant_distance(&views, &ConstantDistanceOptions::default()).unwrap();
+        let found = constant_distance(&views).unwrap();
         (found.ratio / world.ratio - 1.0).abs()
     }
 
@@ -279,8 +232,8 @@ mod tests {
         let all = pairs_by_numerator(&views.views, usize::MAX);
         assert_eq!(all.len(), 190);
         assert_eq!(pairs_by_numerator(&views.views, 40), all[..40]);
-        let limited = ConstantDistanceOptions { max_pairs: 40, max_ratios: 1000 };
-        assert!((constant_distance(&views, &limited).unwrap().ratio / world.ratio - 1.0).abs() < 1e-9);
+        let limited = constant_distance_within(&views, 40, 1000);
+        assert!((limited.unwrap().ratio / world.ratio - 1.0).abs() < 1e-9);
     }
 
     #[test]
@@ -291,11 +244,11 @@ mod tests {
         for view in &mut views.views {
             view.camera_height = 1.0;
         }
-        let limited = ConstantDistanceOptions { max_pairs: 10, max_ratios: 1000 };
-        assert_eq!(constant_distance(&views, &limited), Err(ScaleError::NoPositivePair { num_pairs: 10 }));
+        let limited = |views: &Views| constant_distance_within(views, 10, 1000);
+        assert_eq!(limited(&views), Err(ScaleError::NoPositivePair { num_pairs: 10 }));
         views.views.truncate(1);
-        assert!(matches!(constant_distance(&views, &limited), Err(ScaleError::TooFewViews { usable: 1, .. })));
+        assert!(matches!(limited(&views), Err(ScaleError::TooFewViews { usable: 1, .. })));
         views.points.clear();
-        assert_eq!(constant_distance(&views, &limited), Err(ScaleError::NoPoints));
+        assert_eq!(limited(&views), Err(ScaleError::NoPoints));
     }
 }

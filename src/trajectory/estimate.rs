@@ -7,11 +7,9 @@ use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::estimators::{estimate, needs_climb};
 use super::views::mean_normal;
-use super::{
-    ConstantDistanceOptions, Estimate, EstimatorInput, Joint, JointOptions, LeastSquares, LeastSquaresOptions,
-    ScaleError, Views, estimator, least_squares,
-};
+use super::{Estimate, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError, Views, least_squares};
 use crate::checks::{Checked, under, within};
 use crate::math::rounding::percent;
 use crate::scene::{
@@ -28,8 +26,6 @@ pub struct Options {
     pub references: bool,
     /// True for the chosen method alone: no substitute where it has no ratio, no frames dropped, no ground tracks.
     pub method_only: bool,
-    /// View pair ranking.
-    pub constant_distance: ConstantDistanceOptions,
     /// Robust fit over all frames.
     pub least_squares: LeastSquaresOptions,
     /// Adjustment with the ground.
@@ -47,7 +43,6 @@ impl Default for Options {
             method: ScaleMethod::Joint,
             references: false,
             method_only: false,
-            constant_distance: ConstantDistanceOptions::default(),
             least_squares: LeastSquaresOptions::default(),
             joint: JointOptions::default(),
             max_relative_std: 0.1,
@@ -62,8 +57,6 @@ impl Options {
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
-        under("constant_distance", self.constant_distance.check())?;
-        under("least_squares", self.least_squares.check())?;
         under("joint", self.joint.check())?;
         within("max_relative_std", self.max_relative_std, 0.0..=1000.0)
     }
@@ -101,7 +94,7 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
     };
     let mut reasons: Vec<String> = failure.map(|failure| stands_in(method, wanted, failure)).into_iter().collect();
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
-    if [method, wanted].iter().any(|method| estimator(*method).needs_climb()) {
+    if [method, wanted].iter().any(|method| needs_climb(*method)) {
         reasons.extend(degeneracy(&least_squares(views, &options.least_squares), options.max_relative_std));
     } else {
         reasons.extend(std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std)));
@@ -240,7 +233,7 @@ pub(super) fn references(views: &Views, options: &Options) -> References {
 }
 
 fn reference(method: ScaleMethod, views: &Views, options: &Options) -> Reference {
-    match estimator(method).estimate(&EstimatorInput::unchanged(views), options) {
+    match estimate(method, views, options) {
         Ok(Estimate { ratio, std, .. }) => {
             let undetermined = std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std));
             Reference { ratio: Some(ratio), std, undetermined }
@@ -257,11 +250,10 @@ type Answers = BTreeMap<ScaleMethod, Result<Estimate, ScaleError>>;
 
 /// Answers of `wanted`, and of all others but references, for a reconstruction that stays as it is.
 fn answers(views: &Views, wanted: ScaleMethod, options: &Options) -> Answers {
-    let input = EstimatorInput::unchanged(views);
     let asked = ScaleMethod::ALL.into_iter().filter(|method| *method == wanted || !method.is_reference());
-    let answer = |method: ScaleMethod| match views.camera_hovers && estimator(method).needs_climb() {
+    let answer = |method: ScaleMethod| match views.camera_hovers && needs_climb(method) {
         true => Err(ScaleError::CameraHovers),
-        false => estimator(method).estimate(&input, options),
+        false => estimate(method, views, options),
     };
     asked.map(|method| (method, answer(method))).collect()
 }

@@ -17,9 +17,9 @@
 
 use nalgebra::Point3;
 
-use super::{Estimate, Estimator, EstimatorInput, Options, ScaleError, View, Views};
+use super::{ScaleError, View, Views};
 use crate::math::{STD_PER_MAD, at_least, median};
-use crate::scene::{FrameId, ScaleMethod};
+use crate::scene::FrameId;
 
 /// Relative standard deviation that a ratio by contact of the lowest points does not undercut in a verdict: they lie
 /// somewhere between tire and sill.
@@ -33,8 +33,6 @@ pub struct Intersection {
     /// Ratio of each frame alone (eq. r_per_image), ascending by frame; without the frames in which no ray meets the
     /// plane.
     pub per_frame: Vec<(FrameId, f64)>,
-    /// Frames in which no ray meets the plane.
-    pub num_invalid: usize,
 }
 
 /// Median over the views of the smallest ray-plane intersection parameter.
@@ -47,27 +45,14 @@ pub fn intersection(views: &Views) -> Result<Intersection, ScaleError> {
         views.views.iter().filter_map(|view| Some((view.frame, smallest(view, &views.points)?))).collect();
     let ratios = per_frame.iter().map(|(_, ratio)| *ratio).collect();
     let ratio = median(ratios).ok_or(ScaleError::NoIntersection { num_views: views.views.len() })?;
-    let num_invalid = views.views.len() - per_frame.len();
-    Ok(Intersection { ratio, per_frame, num_invalid })
+    Ok(Intersection { ratio, per_frame })
 }
 
-/// Row of the registry.
-pub(super) struct IntersectionMethod;
-
-impl Estimator for IntersectionMethod {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Intersection
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Ok(Estimate::new(intersection(input.views)?.ratio, None))
-    }
-
-    fn std_in_verdict(&self, ratio: f64, views: &Views, _options: &Options) -> Option<f64> {
-        let found = intersection(views).ok()?;
-        let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
-        Some(at_least(LEAST_STD, STD_PER_MAD * median(off)?))
-    }
+/// Relative standard deviation in a verdict: the spread of the frames' ratios.
+pub(super) fn std_in_verdict(ratio: f64, views: &Views) -> Option<f64> {
+    let found = intersection(views).ok()?;
+    let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
+    Some(at_least(LEAST_STD, STD_PER_MAD * median(off)?))
 }
 
 /// The ratio that sets the object down on the plane of one frame; `None` where no ray meets it.
@@ -102,7 +87,7 @@ mod tests {
             let world = drive(&Options { terrain, camera_climb_m, ..Options::default() }, 2);
             let found = solve(&world);
             assert!((found.ratio / world.ratio - 1.0).abs() < 1e-9, "{terrain:?}");
-            assert_eq!((found.per_frame.len(), found.num_invalid), (60, 0));
+            assert_eq!(found.per_frame.len(), 60);
         }
     }
 
@@ -134,7 +119,7 @@ mod tests {
             view.camera_height = -view.camera_height;
         }
         let found = intersection(&views).unwrap();
-        assert_eq!((found.per_frame.len(), found.num_invalid), (50, 10));
+        assert_eq!(found.per_frame.len(), 50);
         assert_eq!(found.per_frame[0].0, views.views[10].frame, "the frames that are left keep their own ratios");
         for view in &mut views.views {
             view.camera_height = -1.0;

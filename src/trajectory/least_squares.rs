@@ -32,48 +32,32 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, Estimator, EstimatorInput, Options, ScaleError, Views};
-use crate::checks::{Checked, within};
+use super::{Estimate, Options, ScaleError, Views};
 use crate::math::{STD_PER_MAD, at_least, median};
-use crate::scene::ScaleMethod;
 
 /// Relative standard deviation that a ratio from the camera's climb does not undercut in a verdict: errors of planes
 /// and tracks that are common to all frames.
 pub(super) const LEAST_STD: f64 = 0.05;
 
-/// Robustness of the fit.
+/// Distance at which a frame loses all weight (Tukey's biweight), robust standard deviations. 4.685 would keep 95 % of
+/// the efficiency on Gaussian noise, and some planes that are wrong by half a metre.
+const TUKEY_SCALE: f64 = 3.0;
+/// Frames before and after one with whose median it is compared: slow drift is common to them, a wrong plane is not.
+const NEIGHBORS: usize = 5;
+/// Most rounds of reweighting; it stops earlier when r no longer changes.
+const MAX_ROUNDS: usize = 50;
+
+/// Noise of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LeastSquaresOptions {
-    /// Distance at which a frame loses all weight (Tukey's biweight). 4.685 would keep 95 %
-    /// of the efficiency on Gaussian noise, and some planes that are wrong by half a metre.
-    #[schemars(extend("unit" = "robust standard deviations"))]
-    pub tukey_scale: f64,
-    /// Frames before and after one with whose median it is compared.
-    #[schemars(extend("unit" = "frames"))]
-    pub neighbours: usize,
-    /// Rounds of reweighting; it stops earlier when r no longer changes.
-    #[schemars(extend("unit" = "rounds"))]
-    pub max_rounds: usize,
     /// True if drift of the heights is estimated as a random walk; false for white noise only.
     pub drift: bool,
 }
 
 impl Default for LeastSquaresOptions {
     fn default() -> Self {
-        Self { tukey_scale: 3.0, neighbours: 5, max_rounds: 50, drift: true }
-    }
-}
-
-impl LeastSquaresOptions {
-    /// Rejects what cannot be worked with.
-    ///
-    /// # Errors
-    /// [`OptionError`](crate::checks::OptionError) names the option.
-    pub fn check(&self) -> Checked {
-        within("tukey_scale", self.tukey_scale, 0.1..=1000.0)?;
-        within("neighbours", self.neighbours, 1..=1000)?;
-        within("max_rounds", self.max_rounds, 0..=10_000)
+        Self { drift: true }
     }
 }
 
@@ -109,13 +93,13 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     let mut weights = vec![1.0; series.heights.len()];
     let mut fit = series.fit(&weights, 0.0);
     let next = |weights: &[f64]| if options.drift { series.likeliest_fit(weights) } else { series.fit(weights, 0.0) };
-    for _ in 0..options.max_rounds {
-        let steps = series.steps(fit.ratio, options.neighbours);
+    for _ in 0..MAX_ROUNDS {
+        let steps = series.steps(fit.ratio);
         let sigma = STD_PER_MAD * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
         if sigma <= f64::EPSILON * series.size() || !fit.ratio.is_finite() {
             break;
         }
-        let weight = |e: &f64| (1.0 - (e / (options.tukey_scale * sigma)).powi(2)).max(0.0).powi(2);
+        let weight = |e: &f64| (1.0 - (e / (TUKEY_SCALE * sigma)).powi(2)).max(0.0).powi(2);
         weights = steps.iter().map(weight).collect();
         let last = std::mem::replace(&mut fit, next(&weights)).ratio;
         if (fit.ratio - last).abs() <= 1e-12 * fit.ratio.abs() {
@@ -129,29 +113,18 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     Ok(LeastSquares { std, ..found })
 }
 
-/// Row of the registry.
-pub(super) struct LeastSquaresMethod;
-
-impl Estimator for LeastSquaresMethod {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::RobustLeastSquares
+/// Ratio of the fit, if it is one of lengths.
+pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
+    let LeastSquares { ratio, std, .. } = least_squares(views, &options.least_squares)?;
+    if !(ratio.is_finite() && ratio > 0.0) {
+        return Err(ScaleError::NotPositive { num_views: views.views.len(), ratio });
     }
+    Ok(Estimate::new(ratio, Some(std)))
+}
 
-    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
-        let LeastSquares { ratio, std, .. } = least_squares(input.views, &options.least_squares)?;
-        if !(ratio.is_finite() && ratio > 0.0) {
-            return Err(ScaleError::NotPositive { num_views: input.views.views.len(), ratio });
-        }
-        Ok(Estimate::new(ratio, Some(std)))
-    }
-
-    fn needs_climb(&self) -> bool {
-        true
-    }
-
-    fn std_in_verdict(&self, ratio: f64, views: &Views, options: &Options) -> Option<f64> {
-        least_squares(views, &options.least_squares).ok().map(|fit| at_least(LEAST_STD, fit.std / ratio))
-    }
+/// Relative standard deviation in a verdict.
+pub(super) fn std_in_verdict(ratio: f64, views: &Views, options: &Options) -> Option<f64> {
+    least_squares(views, &options.least_squares).ok().map(|fit| at_least(LEAST_STD, fit.std / ratio))
 }
 
 /// Data of the fit, by view.
@@ -196,9 +169,9 @@ impl Series {
     }
 
     /// e_i minus the median of its neighbours in time, itself included.
-    fn steps(&self, ratio: f64, neighbours: usize) -> Vec<f64> {
+    fn steps(&self, ratio: f64) -> Vec<f64> {
         let residuals: Vec<f64> = self.heights.iter().zip(&self.offsets).map(|(h, a)| h + ratio * a).collect();
-        let near = |i: usize| &residuals[i.saturating_sub(neighbours)..residuals.len().min(i + neighbours + 1)];
+        let near = |i: usize| &residuals[i.saturating_sub(NEIGHBORS)..residuals.len().min(i + NEIGHBORS + 1)];
         residuals.iter().enumerate().map(|(i, e)| e - median(near(i).to_vec()).unwrap_or(*e)).collect()
     }
 
@@ -344,7 +317,7 @@ mod tests {
                 let up = noise * rng.sample::<f64, _>(rand_distr::StandardNormal);
                 view.center_in_object += up * view.normal_in_object;
             }
-            let options = LeastSquaresOptions { drift: false, ..LeastSquaresOptions::default() };
+            let options = LeastSquaresOptions { drift: false };
             let found = least_squares(&views, &options).unwrap();
             least += found.ratio / world.ratio / NUM_SEEDS as f64;
             most += found.ratio_by_object_noise / world.ratio / NUM_SEEDS as f64;

@@ -10,8 +10,8 @@
 //! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction again,
-//! together with the ground. All of them, and ten of the literature, are rows of one registry ([`estimator()`]).
-//! [`estimate_scale`] runs the others and says whether the ratio is determined;
+//! together with the ground. [`estimate()`] runs one of
+//! the others or of ten of the literature, [`estimate_scale`] all and says whether the ratio is determined;
 //! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
 //! [`verdicts`] judges the trajectories of a run. A vehicle whose model cannot be used gets a [`ground_track()`].
 //! The derivations are in `docs/maths/scale.md`.
@@ -56,21 +56,17 @@ mod views;
 
 pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
 pub use body::Body;
-use constant_distance::ConstantDistanceMethod;
-pub use constant_distance::{ConstantDistance, ConstantDistanceOptions, constant_distance};
+pub use constant_distance::{ConstantDistance, constant_distance};
 pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;
 pub use estimate::{Options, estimate_scale, ratios_of};
-pub use estimators::{Estimate, Estimator, EstimatorInput, estimator};
+pub use estimators::{Estimate, estimate};
 pub use extents::{Extents, Subject, extents};
 pub use ground_constrained_poses::ground_constrained_poses;
 pub use ground_track::{ContactEvidence, Contacts, FocalError, Outlines, contacts, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};
-use intersection::IntersectionMethod;
 pub use intersection::{Intersection, intersection};
-use joint::JointMethod;
 pub use joint::{Grounded, Joint, JointOptions, joint};
-use least_squares::LeastSquaresMethod;
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
 pub use relative_motion::{RelativeMotion, motion_by_shaking};

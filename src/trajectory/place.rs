@@ -11,10 +11,7 @@ use nalgebra::Matrix3;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::pose_error;
-use super::{
-    Body, Estimate, EstimatorInput, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views,
-    assemble, estimator,
-};
+use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
 
 /// Where an object's model comes from.
@@ -101,12 +98,10 @@ impl From<&Joint> for AdjustmentFigures {
 pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
-    let grounded = evidence.grounded();
-    let input = EstimatorInput { views: &as_it_is, grounded: Some(&grounded) };
-    let adjustment = match is_adjusted.then(|| estimator(options.method).estimate(&input, options)) {
-        Some(Ok(Estimate { adjusted: Some(found), .. })) => return evidence.adjusted(*found, &as_it_is, options),
+    let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
+        Some(Ok(found)) => return evidence.adjusted(found, &as_it_is, options),
         Some(Err(error)) => Adjustment::Failed(error),
-        _ => Adjustment::None,
+        None => Adjustment::None,
     };
     let method = match options.method {
         ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,

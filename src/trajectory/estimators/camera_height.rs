@@ -15,31 +15,22 @@
 //! height (`scale.joint.contact.lowest`), is therefore a term of the standard deviation in addition to the jackknife's.
 //! **Blind** to nothing of the camera's motion, but uncertain where it is low.
 
+use super::Estimate;
 use super::motion::{Motion, positive};
-use super::{Estimate, Estimator, EstimatorInput};
 use crate::math::median;
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
+use crate::trajectory::{Options, ScaleError, Views};
 
-/// Row of the registry.
-pub(super) struct CameraHeight;
-
-impl Estimator for CameraHeight {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::CameraHeight
-    }
-
-    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
-        // No plane is better than the best that `joint` reckons with.
-        let [least, _] = options.joint.sigma_distance;
-        let motion = Motion::new(input.views)?;
-        let found = motion.jackknifed(|motion| ratio(motion, least))?;
-        let [mean, spread] = options.joint.contact.lowest;
-        let height = median(motion.heights.clone()).unwrap_or(0.0);
-        let clearance = mean.hypot(spread) * motion.tall * found.ratio;
-        let std = found.std.map(|std| std.hypot(clearance / height * found.ratio));
-        Ok(Estimate::new(found.ratio, std))
-    }
+/// Ratio by contact, with the clearance of the lowest point in its standard deviation.
+pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
+    // No plane is better than the best that `joint` reckons with.
+    let [least, _] = options.joint.sigma_distance;
+    let motion = Motion::new(views)?;
+    let found = motion.jackknifed(|motion| ratio(motion, least))?;
+    let [mean, spread] = options.joint.contact.lowest;
+    let height = median(motion.heights.clone()).unwrap_or(0.0);
+    let clearance = mean.hypot(spread) * motion.tall * found.ratio;
+    let std = found.std.map(|std| std.hypot(clearance / height * found.ratio));
+    Ok(Estimate::new(found.ratio, std))
 }
 
 /// r of contact, with σ_i no less than a share of the camera's height.

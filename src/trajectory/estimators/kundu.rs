@@ -22,11 +22,10 @@
 
 use nalgebra::{Matrix3, Matrix6, SMatrix, Vector6};
 
+use super::Estimate;
 use super::motion::Motion;
 use super::search::Grid;
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
+use crate::trajectory::{ScaleError, Views};
 
 /// Standard deviations of a measured position across and along its ray, as shares of the distance: a pixel at a focal
 /// length of a thousand; what the size of a reconstruction drifts by.
@@ -39,27 +38,19 @@ const FIRST_STD: f64 = 50.0;
 /// Step of log r for the curvature of the likelihood.
 const CURVATURE_STEP: f64 = 0.01;
 
-/// Row of the registry.
-pub(super) struct Kundu;
-
-impl Estimator for Kundu {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Kundu
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        let motion = Motion::new(input.views)?;
-        let guess = motion.contact()?;
-        let distance = guess * motion.distance();
-        let filter = Filter {
-            guess,
-            densities: DENSITIES.map(|density| density * distance * distance).to_vec(),
-            first_variance: (FIRST_STD * distance).powi(2),
-            frame: 1.0,
-        };
-        let [ratio, std] = filter.solve(&motion)?;
-        Ok(Estimate::new(ratio, Some(std)))
-    }
+/// Ratio of the largest likelihood.
+pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
+    let motion = Motion::new(views)?;
+    let guess = motion.contact()?;
+    let distance = guess * motion.distance();
+    let filter = Filter {
+        guess,
+        densities: DENSITIES.map(|density| density * distance * distance).to_vec(),
+        first_variance: (FIRST_STD * distance).powi(2),
+        frame: 1.0,
+    };
+    let [ratio, std] = filter.solve(&motion)?;
+    Ok(Estimate::new(ratio, Some(std)))
 }
 
 /// The criterion with its settings.

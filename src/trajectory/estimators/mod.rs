@@ -1,8 +1,7 @@
-//! Registry of the scale estimators: one trait, one table.
+//! Scale estimators of a model that stays as it is, by method.
 //!
-//! A new estimator is a file here with an [`Estimator`], a row in the table of [`ScaleMethod`], and an arm of
-//! [`estimator()`], which the compiler asks for. Options, verdict, benchmark, charts, report and documents follow the
-//! table.
+//! A new estimator is a file here, a row in the table of [`ScaleMethod`], and an arm of [`estimate()`], which the
+//! compiler asks for. Options, verdict, benchmark, charts, report and documents follow the table.
 
 mod camera_height;
 mod kundu;
@@ -20,38 +19,9 @@ mod valmadre;
 mod yuan;
 mod zheng;
 
-use self::camera_height::CameraHeight;
-use self::kundu::Kundu;
-use self::ozden_axis::OzdenAxis;
-use self::ozden_heading::OzdenHeading;
-use self::ozden_independence::{OzdenIndependence, OzdenVelocity};
-use self::ozden_plane::OzdenPlane;
-use self::park::Park;
-use self::park_family::ParkFamily;
-use self::valmadre::Valmadre;
-use self::yuan::{Yuan, YuanLocal};
-use self::zheng::Zheng;
-use super::{
-    ConstantDistanceMethod, Grounded, IntersectionMethod, Joint, JointMethod, LeastSquaresMethod, Options, ScaleError,
-    Views,
-};
+use self::motion::Motion;
+use super::{Options, ScaleError, Views, constant_distance, intersection, least_squares};
 use crate::scene::ScaleMethod;
-
-/// Data of one object that an estimator may use.
-#[derive(Clone, Copy, Debug)]
-pub struct EstimatorInput<'a> {
-    /// Views and points of the object's model.
-    pub views: &'a Views,
-    /// The models themselves, for estimators that adjust the object's; `None` if it must stay as it is.
-    pub grounded: Option<&'a Grounded<'a>>,
-}
-
-impl<'a> EstimatorInput<'a> {
-    /// For a model that stays as it is.
-    pub fn unchanged(views: &'a Views) -> Self {
-        Self { views, grounded: None }
-    }
-}
 
 /// A scale ratio by one estimator.
 #[derive(Clone, Debug, PartialEq)]
@@ -60,59 +30,60 @@ pub struct Estimate {
     pub ratio: f64,
     /// Its standard deviation, where the estimator has one.
     pub std: Option<f64>,
-    /// The object's adjusted model, to which `ratio` refers; `None` if it stays as it is.
-    pub adjusted: Option<Box<Joint>>,
 }
 
 impl Estimate {
-    /// For a model that stays as it is; a standard deviation that is not finite is none.
+    /// A standard deviation that is not finite is none.
     pub fn new(ratio: f64, std: Option<f64>) -> Self {
-        Self { ratio, std: std.filter(|std| std.is_finite()), adjusted: None }
+        Self { ratio, std: std.filter(|std| std.is_finite()) }
     }
 }
 
-/// An estimator of the scale ratio.
-pub trait Estimator: Sync {
-    /// Its row in the table of methods: name, source, assumption.
-    fn method(&self) -> ScaleMethod;
-
-    /// Estimates the ratio of one object.
-    ///
-    /// # Errors
-    /// [`ScaleError`] if the data leave the ratio undetermined, or are not there.
-    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError>;
-
-    /// Returns true if only a change of the camera's height above ground determines the ratio.
-    fn needs_climb(&self) -> bool {
-        false
-    }
-
-    /// Relative standard deviation with which the ratio counts against that of another method in a verdict; `None` if
-    /// it has none. Not finite where the data determine nothing.
-    fn std_in_verdict(&self, _ratio: f64, _views: &Views, _options: &Options) -> Option<f64> {
-        None
-    }
-}
-
-/// The estimator of a method.
-pub fn estimator(method: ScaleMethod) -> &'static dyn Estimator {
+/// Estimates the ratio of one object by a method.
+///
+/// # Errors
+/// [`ScaleError`] if the data leave the ratio undetermined, or are not there; [`ScaleError::NoAnswer`] for
+/// [`ScaleMethod::Joint`], which makes a model of its own ([`joint`](super::joint())).
+pub fn estimate(method: ScaleMethod, views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
+    let alone = |ratio: fn(&Motion) -> Result<f64, ScaleError>| Motion::new(views)?.jackknifed(ratio);
+    let around_contact = |ratio: fn(&Motion, f64) -> Result<f64, ScaleError>| {
+        let motion = Motion::new(views)?;
+        let guess = motion.contact()?;
+        motion.jackknifed(|motion| ratio(motion, guess))
+    };
     match method {
-        ScaleMethod::ConstantDistance => &ConstantDistanceMethod,
-        ScaleMethod::Intersection => &IntersectionMethod,
-        ScaleMethod::RobustLeastSquares => &LeastSquaresMethod,
-        ScaleMethod::Joint => &JointMethod,
-        ScaleMethod::OzdenIndependence => &OzdenIndependence,
-        ScaleMethod::OzdenVelocity => &OzdenVelocity,
-        ScaleMethod::OzdenPlane => &OzdenPlane,
-        ScaleMethod::OzdenAxis => &OzdenAxis,
-        ScaleMethod::OzdenHeading => &OzdenHeading,
-        ScaleMethod::Zheng => &Zheng,
-        ScaleMethod::CameraHeight => &CameraHeight,
-        ScaleMethod::Yuan => &Yuan,
-        ScaleMethod::YuanLocal => &YuanLocal,
-        ScaleMethod::Park => &Park,
-        ScaleMethod::ParkFamily => &ParkFamily,
-        ScaleMethod::Valmadre => &Valmadre,
-        ScaleMethod::Kundu => &Kundu,
+        ScaleMethod::ConstantDistance => constant_distance::estimate(views, options),
+        ScaleMethod::Intersection => Ok(Estimate::new(intersection::intersection(views)?.ratio, None)),
+        ScaleMethod::RobustLeastSquares => least_squares::estimate(views, options),
+        ScaleMethod::Joint => Err(ScaleError::NoAnswer(method)),
+        ScaleMethod::OzdenIndependence => around_contact(ozden_independence::ratio),
+        ScaleMethod::OzdenVelocity => around_contact(ozden_independence::velocity_ratio),
+        ScaleMethod::OzdenPlane => around_contact(ozden_plane::ratio),
+        ScaleMethod::OzdenAxis => alone(ozden_axis::ratio),
+        ScaleMethod::OzdenHeading => ozden_heading::estimate(views),
+        ScaleMethod::Zheng => alone(zheng::ratio),
+        ScaleMethod::CameraHeight => camera_height::estimate(views, options),
+        ScaleMethod::Yuan => alone(yuan::ratio),
+        ScaleMethod::YuanLocal => alone(yuan::local_ratio),
+        ScaleMethod::Park => alone(park::ratio),
+        ScaleMethod::ParkFamily => alone(park_family::ratio),
+        ScaleMethod::Valmadre => alone(valmadre::ratio),
+        ScaleMethod::Kundu => kundu::estimate(views),
+    }
+}
+
+/// Returns true if only a change of the camera's height above ground determines a method's ratio.
+pub(super) fn needs_climb(method: ScaleMethod) -> bool {
+    matches!(method, ScaleMethod::ConstantDistance | ScaleMethod::RobustLeastSquares | ScaleMethod::Joint)
+}
+
+/// Relative standard deviation with which a method's ratio counts against that of another in a verdict; `None` if it
+/// has none. Not finite where the data determine nothing.
+pub(super) fn std_in_verdict(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> Option<f64> {
+    match method {
+        ScaleMethod::ConstantDistance => constant_distance::std_in_verdict(ratio, views, options),
+        ScaleMethod::Intersection => intersection::std_in_verdict(ratio, views),
+        ScaleMethod::RobustLeastSquares => least_squares::std_in_verdict(ratio, views, options),
+        _ => None,
     }
 }

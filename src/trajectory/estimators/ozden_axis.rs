@@ -16,26 +16,11 @@ use nalgebra::{Matrix3, Rotation3, SymmetricEigen, Vector3};
 
 use super::motion::Motion;
 use super::ozden_independence::centered;
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
+use crate::trajectory::ScaleError;
 
 /// Turn below which the axis is one of noise, radians: an attitude that is good to 0.3° puts the axis of a turn of 10°
 /// off by 2°, and the plane by 3 % of the path.
 const MIN_TURN: f64 = 0.175;
-
-/// Row of the registry.
-pub(super) struct OzdenAxis;
-
-impl Estimator for OzdenAxis {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::OzdenAxis
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(ratio)
-    }
-}
 
 /// r of a path across the axis.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {

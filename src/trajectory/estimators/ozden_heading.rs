@@ -29,11 +29,10 @@ use std::f64::consts::{PI, SQRT_2};
 
 use nalgebra::{Matrix3, Matrix4, Rotation3, SMatrix, Vector3, Vector4};
 
+use super::Estimate;
 use super::motion::{Motion, positive};
-use super::{Estimate, Estimator, EstimatorInput};
 use crate::math::{median, svd3};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
+use crate::trajectory::{ScaleError, Views};
 
 /// Ratios to start from, as factors of the first guess.
 const STARTS: [f64; 5] = [0.5, 0.8, 1.0, 1.25, 2.0];
@@ -51,26 +50,17 @@ const DRIFT_TERMS: u32 = 3;
 /// Bounds of the ratio during the search, as factors of the guess: far beyond any start.
 const BOUNDS: [f64; 2] = [0.05, 20.0];
 
-/// Row of the registry.
-pub(super) struct OzdenHeading;
-
-impl Estimator for OzdenHeading {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::OzdenHeading
+/// Ratio of motion along the heading.
+pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
+    let motion = Motion::new(views)?;
+    let guess = motion.contact()?;
+    let length = guess * motion.length;
+    if !(length > 0.0) {
+        return Err(ScaleError::Undetermined("the object has no length"));
     }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        let motion = Motion::new(input.views)?;
-        let guess = motion.contact()?;
-        let length = guess * motion.length;
-        if !(length > 0.0) {
-            return Err(ScaleError::Undetermined("the object has no length"));
-        }
-        let [ratio, noise, drift] =
-            Heading { guess, axle: AXLE.map(|share| share * length), step: step(&motion, length, guess) }
-                .solve(&motion)?;
-        Ok(Estimate::new(ratio, Some(noise.hypot(drift))))
-    }
+    let [ratio, noise, drift] =
+        Heading { guess, axle: AXLE.map(|share| share * length), step: step(&motion, length, guess) }.solve(&motion)?;
+    Ok(Estimate::new(ratio, Some(noise.hypot(drift))))
 }
 
 /// Frames of a step, at least two and at most a quarter of all: an even number, whose middle is a frame.

@@ -19,39 +19,7 @@ use nalgebra::{Matrix3, Vector3};
 
 use super::motion::Motion;
 use super::search::Grid;
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
-
-/// Row of the registry: positions.
-pub(super) struct OzdenIndependence;
-
-/// Row of the registry: velocities.
-pub(super) struct OzdenVelocity;
-
-impl Estimator for OzdenIndependence {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::OzdenIndependence
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        let motion = Motion::new(input.views)?;
-        let guess = motion.contact()?;
-        motion.jackknifed(|motion| ratio(motion, guess))
-    }
-}
-
-impl Estimator for OzdenVelocity {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::OzdenVelocity
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        let motion = Motion::new(input.views)?;
-        let guess = motion.contact()?;
-        motion.jackknifed(|motion| velocity_ratio(motion, guess))
-    }
-}
+use crate::trajectory::ScaleError;
 
 /// r of least correlation of the positions.
 pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {

@@ -16,24 +16,7 @@ use nalgebra::DMatrix;
 use super::motion::Motion;
 use super::ozden_independence::centered;
 use super::search::Grid;
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
-
-/// Row of the registry.
-pub(super) struct OzdenPlane;
-
-impl Estimator for OzdenPlane {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::OzdenPlane
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        let motion = Motion::new(input.views)?;
-        let guess = motion.contact()?;
-        motion.jackknifed(|motion| ratio(motion, guess))
-    }
-}
+use crate::trajectory::ScaleError;
 
 /// r of the flattest path.
 pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {

@@ -20,9 +20,7 @@
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use super::motion::{Motion, positive};
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
+use crate::trajectory::ScaleError;
 
 /// Parts of the cross-validation, as in the source.
 const NUM_FOLDS: usize = 10;
@@ -33,19 +31,6 @@ const MAX_BASIS: usize = 16;
 /// Rounds of the refinement, and halvings of a step in each.
 const MAX_ROUNDS: usize = 20;
 const MAX_HALVINGS: usize = 10;
-
-/// Row of the registry.
-pub(super) struct Park;
-
-impl Estimator for Park {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Park
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(ratio)
-    }
-}
 
 /// First cosines of the discrete cosine transform, at the times of the frames.
 pub(super) fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {

@@ -14,26 +14,11 @@ use nalgebra::DMatrix;
 
 use super::motion::Motion;
 use super::park::cosines;
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
+use crate::trajectory::ScaleError;
 
 /// Basis vectors: four periods in a clip, or half of the frames. Cross-validation is not at hand, since fewer always
 /// leave larger residuals.
 const NUM_BASIS: usize = 8;
-
-/// Row of the registry.
-pub(super) struct ParkFamily;
-
-impl Estimator for ParkFamily {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::ParkFamily
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(ratio)
-    }
-}
 
 /// r of the least high frequencies.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {

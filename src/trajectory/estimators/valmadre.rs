@@ -11,22 +11,7 @@
 //! as the vehicle. Noise of v grows fourfold in D²v and pulls r towards 0 (errors in the variables).
 
 use super::motion::{Motion, components};
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
-
-/// Row of the registry.
-pub(super) struct Valmadre;
-
-impl Estimator for Valmadre {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Valmadre
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(ratio)
-    }
-}
+use crate::trajectory::ScaleError;
 
 /// r of the least acceleration.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {

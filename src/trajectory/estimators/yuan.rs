@@ -17,35 +17,7 @@
 use nalgebra::Vector3;
 
 use super::motion::Motion;
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
-
-/// Row of the registry: one normal.
-pub(super) struct Yuan;
-
-/// Row of the registry: local normals.
-pub(super) struct YuanLocal;
-
-impl Estimator for Yuan {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Yuan
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(ratio)
-    }
-}
-
-impl Estimator for YuanLocal {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::YuanLocal
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(local_ratio)
-    }
-}
+use crate::trajectory::ScaleError;
 
 /// r of translations parallel to the mean plane.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {

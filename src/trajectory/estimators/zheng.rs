@@ -11,22 +11,7 @@
 //! is stationary; a vehicle that moves along with the camera has r → 0.
 
 use super::motion::{Motion, components};
-use super::{Estimate, Estimator, EstimatorInput};
-use crate::scene::ScaleMethod;
-use crate::trajectory::{Options, ScaleError};
-
-/// Row of the registry.
-pub(super) struct Zheng;
-
-impl Estimator for Zheng {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Zheng
-    }
-
-    fn estimate(&self, input: &EstimatorInput, _options: &Options) -> Result<Estimate, ScaleError> {
-        Motion::new(input.views)?.jackknifed(ratio)
-    }
-}
+use crate::trajectory::ScaleError;
 
 /// r of the shortest path.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {

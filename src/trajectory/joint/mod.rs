@@ -26,13 +26,10 @@ use serde::{Deserialize, Serialize};
 use self::adjustment::Adjustment;
 use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
 use self::surface::draw_onto_surface;
-use super::{
-    Body, Contact, ContactOptions, Estimate, Estimator, EstimatorInput, Options, ScaleError, Silhouette, Views,
-    object_center,
-};
+use super::{Body, Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
 use crate::checks::{Checked, OptionError, under, within};
 use crate::math::median;
-use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleMethod, ScaleShares};
+use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
 
 /// Weights of the terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -225,25 +222,6 @@ fn settle(adjustment: &mut Adjustment) -> Result<Contact, ScaleError> {
         }
     }
     Ok(contact)
-}
-
-/// Row of the registry.
-pub(super) struct JointMethod;
-
-impl Estimator for JointMethod {
-    fn method(&self) -> ScaleMethod {
-        ScaleMethod::Joint
-    }
-
-    fn estimate(&self, input: &EstimatorInput, options: &Options) -> Result<Estimate, ScaleError> {
-        let grounded = input.grounded.ok_or(ScaleError::NoAnswer(ScaleMethod::Joint))?;
-        let found = joint(grounded, input.views, options)?;
-        Ok(Estimate { ratio: found.ratio, std: Some(found.std), adjusted: Some(Box::new(found)) })
-    }
-
-    fn needs_climb(&self) -> bool {
-        true
-    }
 }
 
 /// Where the standard deviation of the ratio comes from, as far as the adjustment itself knows.

@@ -3,7 +3,8 @@
 use super::{HALF, SMALL, percent};
 use crate::scene::ReasonKind::{Agreement, Determined, Deviation};
 use crate::scene::{Reason, ScaleEstimate, ScaleMethod};
-use crate::trajectory::{Options, Views, estimator};
+use crate::trajectory::estimators::std_in_verdict;
+use crate::trajectory::{Options, Views};
 
 /// A relative standard deviation of the scale ratio up to which it counts as well determined.
 pub(super) const GOOD_STD: f64 = 0.03;
@@ -71,7 +72,7 @@ fn answers(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<Other
 }
 
 fn own_std(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> f64 {
-    match estimator(method).std_in_verdict(ratio, views, options) {
+    match std_in_verdict(method, ratio, views, options) {
         Some(std) if std.is_finite() => std,
         Some(_) => f64::INFINITY,
         None => UNKNOWN_STD,
