@@ -9,7 +9,7 @@ use super::layout::{IntrinsicsUse, Layout, NONE, POSE_DIM};
 use super::levenberg_marquardt::with_threads;
 use super::linearize::Linearization;
 use super::one_point::OnePoint;
-use super::options::{LinearSolver, Options};
+use super::options::Options;
 use super::piece::Pass;
 use super::priors;
 use super::problem::{BundleError, Problem};
@@ -96,11 +96,7 @@ impl<'a, const D: usize> System<'a, D> {
         let mut lin = Linearization::<D>::new(&pass, &reduced.pattern);
         lin.evaluate(&pass, &state, 0.0, &mut reduced);
         reduced.finish(&priors::terms(problem, layout, &state), 0.0);
-        let choice = match options.linear_solver {
-            LinearSolver::Iterative => LinearSolver::Auto,
-            other => other,
-        };
-        let mut solver = Solver::new(choice, &reduced, parallel);
+        let mut solver = Solver::new(options.linear_solver, &reduced, parallel);
         solver.factor(&reduced).map_err(|pivot| BundleError::Singular { pivot })?;
         Ok(Self { problem, layout, pass, state, reduced, solver })
     }

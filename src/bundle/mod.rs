@@ -6,8 +6,7 @@
 //!
 //! over the free poses T_i (`cam_from_world`), the free points X_j and the free intrinsics θ_c, by Levenberg–Marquardt.
 //! Every step eliminates the points (Schur complement), or the views where points are few, and solves the rest by dense
-//! or sparse Cholesky, or by conjugate gradients. `docs/maths/bundle.md` derives everything; its equation numbers are
-//! cited in the code.
+//! or sparse Cholesky. `docs/maths/bundle.md` derives everything; its equation numbers are cited in the code.
 //!
 //! The same problem gives the same bytes at every number of threads, unless the reduced system is a large dense one,
 //! which several threads factorise: work is cut in parts that do not depend on the number of threads, and sums are

@@ -15,8 +15,6 @@ pub enum LinearSolver {
     Dense,
     /// Sparse supernodal Cholesky: in the order of the poses where that is a band (video), else in AMD order.
     Sparse,
-    /// Conjugate gradients on the reduced system with a block-Jacobi preconditioner (inexact steps).
-    Iterative,
 }
 
 /// Treatment of the seven gauge freedoms (rotation, translation, scale), which images do not determine.

@@ -1,16 +1,13 @@
-//! Solving the reduced camera system: Cholesky of a dense matrix, of a band or of a sparse matrix, or conjugate
-//! gradients.
+//! Solving the reduced camera system: Cholesky of a dense matrix, of a band or of a sparse matrix.
 
 mod by_points;
 mod dense;
-mod iterative;
 mod skyline;
 mod sparse;
 
 use by_points::PointsSolver;
 use dense::DenseSolver;
 use faer::Par;
-use iterative::IterativeSolver;
 use skyline::SkylineSolver;
 use sparse::SparseSolver;
 
@@ -35,7 +32,6 @@ pub(super) enum Solver {
     Dense(DenseSolver),
     Skyline(SkylineSolver),
     Sparse(SparseSolver),
-    Iterative(IterativeSolver),
     /// Of a system that is not formed.
     Points(PointsSolver),
 }
@@ -50,7 +46,6 @@ impl Solver {
         }
         let par = if parallel && size >= PARALLEL_SIZE { Par::rayon(0) } else { Par::Seq };
         match choice {
-            LinearSolver::Iterative => Self::Iterative(IterativeSolver::new(size)),
             LinearSolver::Dense => Self::Dense(DenseSolver::new(size, par)),
             LinearSolver::Sparse => Self::sparse(reduced),
             LinearSolver::Auto => {
@@ -76,10 +71,10 @@ impl Solver {
         if reduced.pattern.is_band() {
             return Self::Skyline(SkylineSolver::new(reduced));
         }
-        // The symbolic factorisation fails only where memory runs out; the iterative solver needs none.
+        // The symbolic factorization fails only where memory runs out; a band, however wide, needs none.
         match SparseSolver::new(reduced) {
             Some(solver) => Self::Sparse(solver),
-            None => Self::Iterative(IterativeSolver::new(reduced.size())),
+            None => Self::Skyline(SkylineSolver::new(reduced)),
         }
     }
 
@@ -90,7 +85,6 @@ impl Solver {
             Self::Dense(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
             Self::Skyline(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
             Self::Sparse(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
-            Self::Iterative(solver) => solver.solve(reduced, step),
             Self::Points(solver) => match &reduced.coupling {
                 Some(coupling) => solver.solve(reduced, coupling, step),
                 None => Err(0),
@@ -100,13 +94,13 @@ impl Solver {
 }
 
 impl Solver {
-    /// Factorises S for [`Solver::solve_columns`]; the iterative solver and that of a system that is not formed cannot.
+    /// Factorises S for [`Solver::solve_columns`]; the solver of a system that is not formed cannot.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         match self {
             Self::Dense(solver) => solver.factor(reduced),
             Self::Skyline(solver) => solver.factor(reduced),
             Self::Sparse(solver) => solver.factor(reduced),
-            Self::Iterative(_) | Self::Points(_) => Err(0),
+            Self::Points(_) => Err(0),
         }
     }
 
@@ -116,7 +110,7 @@ impl Solver {
             Self::Dense(solver) => solver.solve(columns),
             Self::Skyline(solver) => solver.solve(columns),
             Self::Sparse(solver) => solver.solve(columns),
-            Self::Iterative(_) | Self::Points(_) => {}
+            Self::Points(_) => {}
         }
     }
 }

@@ -159,9 +159,7 @@ fn solvers_agree() {
         };
         let (dense, dense_problem) = solve(LinearSolver::Dense);
         let (sparse, sparse_problem) = solve(LinearSolver::Sparse);
-        let (iterative, _) = solve(LinearSolver::Iterative);
         assert!((dense.final_cost - sparse.final_cost).abs() < 1e-9 * dense.final_cost, "{dense:?} {sparse:?}");
-        assert!((dense.final_cost - iterative.final_cost).abs() < 1e-4 * dense.final_cost, "{dense:?} {iterative:?}");
         for (a, b) in dense_problem.poses.iter().zip(&sparse_problem.poses) {
             assert!((a.cam_from_world.center() - b.cam_from_world.center()).norm() < 1e-4);
         }

@@ -39,8 +39,6 @@ pub(super) enum SolverArg {
     Dense,
     /// Sparse Cholesky
     Sparse,
-    /// Conjugate gradients
-    Iterative,
 }
 
 #[derive(Serialize)]
@@ -76,7 +74,6 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
             SolverArg::Auto => LinearSolver::Auto,
             SolverArg::Dense => LinearSolver::Dense,
             SolverArg::Sparse => LinearSolver::Sparse,
-            SolverArg::Iterative => LinearSolver::Iterative,
         },
         // What the benchmark's other solvers do.
         gauge: Gauge::Free,
