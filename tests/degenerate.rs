@@ -292,7 +292,6 @@ proptest! {
         let wanted = Wanted {
             poses: (1..problem.poses.len()).collect(),
             cameras: vec![0],
-            points: (0..problem.points.len()).collect(),
         };
         if let Ok(found) = bundle::covariances(&problem, &options, &wanted) {
             prop_finite!(found);

@@ -1,8 +1,6 @@
-//! Covariance of chosen poses, intrinsics and points.
+//! Covariance of chosen poses and intrinsics.
 
-use std::collections::BTreeMap;
-
-use nalgebra::{Matrix3, Matrix6, Vector3};
+use nalgebra::{Matrix3, Matrix6};
 
 use super::camera_sums::CAMERA_DIM;
 use super::layout::{IntrinsicsUse, Layout, NONE, POSE_DIM};
@@ -28,8 +26,6 @@ pub struct Wanted {
     pub poses: Vec<usize>,
     /// Sets of intrinsics.
     pub cameras: Vec<usize>,
-    /// Points.
-    pub points: Vec<usize>,
 }
 
 /// Uncertainty of each, given that of everything else that is free; in the order of [`Wanted`].
@@ -39,8 +35,6 @@ pub struct Covariances {
     pub poses: Vec<PoseCovariance>,
     /// Of fx, fy, cx, cy, k1, k2; held ones have zero rows and columns.
     pub cameras: Vec<Matrix6<f64>>,
-    /// Of points in the world.
-    pub points: Vec<Matrix3<f64>>,
 }
 
 /// Uncertainty of one pose.
@@ -54,7 +48,7 @@ pub struct PoseCovariance {
 }
 
 /// Covariances at the current state: blocks of the inverse of the normal equations with the gauge held as
-/// [`Options::gauge`] says (eqs. 16–17). Observations count with their own standard deviations; multiply by the
+/// [`Options::gauge`] says (eq. 16). Observations count with their own standard deviations; multiply by the
 /// variance factor where those are only relative.
 ///
 /// # Errors
@@ -112,11 +106,9 @@ impl<'a, const D: usize> System<'a, D> {
     }
 
     fn covariances(mut self, wanted: &Wanted) -> Result<Covariances, BundleError> {
-        let places: BTreeMap<u32, usize> = self.layout.points.iter().copied().zip(0..).collect();
         Ok(Covariances {
             poses: wanted.poses.iter().map(|pose| self.pose(*pose)).collect::<Result<_, _>>()?,
             cameras: wanted.cameras.iter().map(|camera| self.camera(*camera)).collect::<Result<_, _>>()?,
-            points: wanted.points.iter().map(|point| self.point(*point, &places)).collect::<Result<_, _>>()?,
         })
     }
 
@@ -180,61 +172,4 @@ impl<'a, const D: usize> System<'a, D> {
         }
         Ok(intrinsics * of_columns * intrinsics.transpose())
     }
-
-    /// Eq. 17.
-    fn point(&mut self, point: usize, places: &BTreeMap<u32, usize>) -> Result<Matrix3<f64>, BundleError> {
-        let none = BundleError::NoCovariance { what: "point", index: point };
-        let place = u32::try_from(point).ok().and_then(|point| places.get(&point)).copied();
-        let place = place.filter(|place| !self.layout.point_fixed[*place]).ok_or(none)?;
-        let mut one = OnePoint::new(self.layout, place..place + 1);
-        self.work_out(&mut one, place);
-        let terms = one.terms;
-        let size = self.reduced.size();
-        let singular = BundleError::Singular { pivot: size + 3 * place };
-        if terms.is_held() {
-            return Err(singular);
-        }
-        let coupling = coupling(self.layout, &one, place, size);
-        let mut solved = coupling.clone();
-        self.solver.solve_columns(&mut solved);
-        let dot = |r: usize, c: usize| -> f64 {
-            let (left, right) = (&coupling[r * size..(r + 1) * size], &solved[c * size..(c + 1) * size]);
-            left.iter().zip(right).map(|(a, b)| a * b).sum()
-        };
-        let inner = Matrix3::identity() + Matrix3::from_fn(|r, c| 0.5 * (dot(r, c) + dot(c, r)));
-        let back = |m: Matrix3<f64>| -> Matrix3<f64> {
-            Matrix3::from_columns(&[0, 1, 2].map(|c| Vector3::from(terms.back_solve(&m.column(c).into_owned().into()))))
-        };
-        let of_point = back(back(inner).transpose());
-        let own = [terms.hessian[0], terms.hessian[3], terms.hessian[5]];
-        match (0..3).all(|k| of_point[(k, k)] * own[k] < LARGEST_INFLATION) {
-            true => Ok(of_point),
-            false => Err(singular),
-        }
-    }
-}
-
-/// Mᵀ = (Σ Qᵀ J)ᵀ over the observations of a point: three columns of the size of the reduced system (eq. 17).
-fn coupling<const D: usize>(layout: &Layout, one: &OnePoint<D>, place: usize, size: usize) -> Vec<f64> {
-    let mut columns = vec![0.0; 3 * size];
-    let seen = layout.obs_of_point(place).zip(&one.residuals);
-    for (o, residual) in seen.filter(|(o, _)| layout.obs_block[*o] != NONE) {
-        let first = layout.obs_block[o] as usize * D;
-        for k in 0..3 {
-            for c in 0..D {
-                columns[k * size + first + c] += residual.eliminated[0][k] * residual.d_view[0][c]
-                    + residual.eliminated[1][k] * residual.d_view[1][c];
-            }
-        }
-    }
-    for slot in layout.slots_of_point(place) {
-        let first = layout.num_blocks() * D + layout.slots[slot] as usize * CAMERA_DIM;
-        let y = &one.slot_eliminated[slot - one.first_slot];
-        for k in 0..3 {
-            for c in 0..CAMERA_DIM {
-                columns[k * size + first + c] += y[k][c];
-            }
-        }
-    }
-    columns
 }

@@ -74,8 +74,8 @@ A file for `--options` holds such a tree or a part of it; missing options keep t
 refused by their path. `null` means not given.
 
 About 160 further options are internal: thresholds, solver settings and switches of single mechanisms, for contributors
-who tune or ablate (CONTRIBUTING). Their paths begin with `tuning.`, for example `tuning.scale.joint.sigma_tilt`;
-`tractrix options --all` lists them with their effects. They may change with every version.
+who tune or ablate (CONTRIBUTING). Their paths begin with `tuning.`, for example
+`tuning.scale.joint.independent_points`; `tractrix options --all` lists them with their effects. They may change with every version.
 ";
 
 /// The page: a table for each section.

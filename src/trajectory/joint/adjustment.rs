@@ -19,6 +19,13 @@ use crate::trajectory::{
 /// Standard deviation, relative to it, up to which the ratio of all frames is a better start than contact.
 const SURE: f64 = 0.1;
 
+/// Standard deviation of a vehicle's inclination against its plane, radians: springs, and planes that are not quite
+/// plane.
+const SIGMA_TILT: f64 = 0.03;
+/// Standard deviations beyond which a plane, or an image position, loses weight (Cauchy): few of normal noise do.
+const LOSS_SCALE: f64 = 3.0;
+const PIXEL_LOSS_SCALE: f64 = 3.0;
+
 /// Shares of the cost at which adjustments end: of the whole object, and of one without some of its tracks or frames,
 /// which begins where the whole one ended. At 1e-5 their sizes vary as they do at 1e-6, at 1e-4 the surest less.
 const TO_THE_END: f64 = 1e-6;
@@ -111,10 +118,6 @@ impl<'a> Adjustment<'a> {
         Self { wander: self.options.max_drift(), ..self.clone() }
     }
 
-    pub(super) fn options(&self) -> &'a JointOptions {
-        self.options
-    }
-
     /// Where the outlines put the ground.
     pub(super) fn contact(&self) -> Result<Contact, ScaleError> {
         contact(&self.object, self.grounded.silhouettes, self.forward(), &self.contact_options).ok_or_else(|| {
@@ -151,7 +154,7 @@ impl<'a> Adjustment<'a> {
     }
 
     fn bundle_options(&self, problem: &Problem) -> bundle::Options {
-        let scale = self.options.pixel_loss_scale / self.devaluation(problem);
+        let scale = PIXEL_LOSS_SCALE / self.devaluation(problem);
         bundle::Options { loss: RobustLoss::Cauchy { scale }, threads: 1, ..bundle::Options::default() }
     }
 
@@ -188,7 +191,7 @@ impl<'a> Adjustment<'a> {
                 point: Point3::new(middle.x, middle.y, 0.0),
                 up: Vector3::z(),
                 sigma_distance: self.sigma_distance(in_object, &middle).max(plane.own_height_std()),
-                sigma_tilt: self.options.sigma_tilt.max(plane.tilt_std),
+                sigma_tilt: SIGMA_TILT.max(plane.tilt_std),
                 loss: RobustLoss::Squared,
             })
         };
@@ -223,7 +226,7 @@ impl<'a> Adjustment<'a> {
             distance.abs().max(tilt.norm())
         };
         let typical = median(planes.iter().map(off).collect()).unwrap_or(0.0);
-        self.options.loss_scale * typical.max(1.0)
+        LOSS_SCALE * typical.max(1.0)
     }
 
     /// The outlines' word on where the ground is, spread over all points: each is near where it is, but lower by the

@@ -31,6 +31,16 @@ use crate::checks::{Checked, OptionError, under, within};
 use crate::math::median;
 use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
 
+/// Most rounds of adjustment and new contact; it stops earlier when the contact stays.
+const MAX_ROUNDS: usize = 5;
+/// Maximum growth of the image positions' median error, as a factor: beyond it ground and images contradict one another.
+const MAX_ERROR_GROWTH: f64 = 3.0;
+/// Standard deviation of a point's position, as a share of the object's radius (the median distance of its points from
+/// the middle), beyond which it is removed: few frames observe it, and no neighbors define a surface for it.
+const MAX_DEVIATION: f64 = 0.05;
+/// Share of the points, those with the smallest standard deviation, that stays in any case.
+const LEAST_SHARE: f64 = 0.5;
+
 /// Weights of the terms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
@@ -45,29 +55,6 @@ pub struct JointOptions {
     /// nothing to the ground.
     #[schemars(extend("unit" = "points"))]
     pub independent_points: f64,
-    /// Standard deviation of a vehicle's inclination against its plane: springs, and planes that are not quite plane.
-    #[schemars(extend("unit" = "radians"))]
-    pub sigma_tilt: f64,
-    /// Standard deviations beyond which a plane loses weight (Cauchy).
-    #[schemars(extend("unit" = "standard deviations"))]
-    pub loss_scale: f64,
-    /// Standard deviations beyond which an image position loses weight (Cauchy).
-    #[schemars(extend("unit" = "standard deviations"))]
-    pub pixel_loss_scale: f64,
-    /// Most rounds of adjustment and new contact.
-    #[schemars(extend("unit" = "rounds"))]
-    pub max_rounds: usize,
-    /// Maximum growth of the image positions' median error, as a factor.
-    #[schemars(extend("unit" = "factor"))]
-    pub max_error_growth: f64,
-    /// Standard deviation of a point's place, as a share of the object's radius (the median distance of its points from
-    /// the middle), beyond which it is left out: what is seen in a few frames only and has no neighbours on whose
-    /// surface it could be drawn.
-    #[schemars(extend("unit" = "share of the object's radius"))]
-    pub max_deviation: f64,
-    /// Share of the points that stays in any case: the surest.
-    #[schemars(extend("unit" = "share"))]
-    pub least_share: f64,
     /// True if points are drawn onto the surface of their neighbors.
     pub smooth_surface: bool,
     /// True if sub-maps of a vehicle are adjusted by themselves and aligned by its body.
@@ -81,13 +68,6 @@ impl Default for JointOptions {
         Self {
             sigma_distance: [0.003, 0.008],
             independent_points: 1.25,
-            sigma_tilt: 0.03,
-            loss_scale: 3.0,
-            pixel_loss_scale: 3.0,
-            max_rounds: 5,
-            max_error_growth: 3.0,
-            max_deviation: 0.05,
-            least_share: 0.5,
             smooth_surface: true,
             align_sub_maps: true,
             contact: ContactOptions::default(),
@@ -112,13 +92,6 @@ impl JointOptions {
             return Err(OptionError::new("sigma_distance", reason));
         }
         within("independent_points", self.independent_points, 0.01..=1e6)?;
-        within("sigma_tilt", self.sigma_tilt, 1e-6..=10.0)?;
-        within("loss_scale", self.loss_scale, 0.01..=1000.0)?;
-        within("pixel_loss_scale", self.pixel_loss_scale, 0.01..=1000.0)?;
-        within("max_rounds", self.max_rounds, 1..=1000)?;
-        within("max_error_growth", self.max_error_growth, 0.1..=1000.0)?;
-        within("max_deviation", self.max_deviation, 1e-6..=1000.0)?;
-        within("least_share", self.least_share, 0.0..=1.0)?;
         under("contact", self.contact.check())
     }
 }
@@ -178,7 +151,7 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     let options = &options.joint;
     let contact = settle(&mut adjustment)?;
     let after_px = median_error_px(&adjustment.object).filter(|px| px.is_finite()).ok_or(ScaleError::NoObservations)?;
-    if !(after_px <= options.max_error_growth * before_px.max(1e-3)) {
+    if !(after_px <= MAX_ERROR_GROWTH * before_px.max(1e-3)) {
         return Err(ScaleError::GroundContradicts { before_px, after_px });
     }
     let shares = shares(&adjustment, &contact)?;
@@ -188,7 +161,7 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
     let radius = object_radius(&object);
     let covariances = point_covariances(&object);
     let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
-    let uncertain = uncertain_points(&deviations, options.max_deviation * radius, options.least_share);
+    let uncertain = uncertain_points(&deviations, MAX_DEVIATION * radius, LEAST_SHARE);
     object.remove_points(&uncertain);
     set_errors(&mut object);
     let ratio = 1.0 / object_from_ground.scale;
@@ -214,7 +187,7 @@ fn settle_sub_maps(adjustment: &mut Adjustment, options: &Options) {
 /// Adjusts in turns with the contact until that stays.
 fn settle(adjustment: &mut Adjustment) -> Result<Contact, ScaleError> {
     let mut contact = adjustment.contact()?;
-    for _ in 0..adjustment.options().max_rounds {
+    for _ in 0..MAX_ROUNDS {
         adjustment.round(&contact)?;
         let last = std::mem::replace(&mut contact, adjustment.contact()?);
         if (contact.z - last.z).abs() < 0.05 * contact.std {
