@@ -31,9 +31,7 @@ pub use known::{KnownLength, KnownLengthError};
 pub use level::{Level, frame_on_ground, frame_on_map};
 pub use map_points::{MapPoint, MapPointsError, camera_over_map, focal_over_map};
 pub use measured::{Measured, MeasuredError, TimeOffset, TimeOffsetError};
-pub use placing::{
-    ObservedContact, ObservedPoint, contact_place_std_m, contact_pose, in_metres, metric_pose, place_std_m,
-};
+pub use placing::{ObservedPoint, in_metres, metric_pose, place_std_m};
 pub use utc_offset::{UtcOffset, UtcOffsetError};
 pub use vehicles::{
     Dimension, Extent, OddVehicle, Oddity, VehicleClass, VehicleSizes, contradicted_sizes, is_car_by_size,

@@ -71,49 +71,6 @@ pub fn place_std_m(frame: &MetricFrame, sighted: &ObservedPoint) -> [f64; 3] {
     axes_std(&(alignment_covariance(frame, sighted.point) + of_ray + sighted.pose_covariance_m(frame)))
 }
 
-/// A contact point with the ground that is seen from a camera.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ObservedContact {
-    /// The point, in the frame of the background.
-    pub point: Point3<f64>,
-    /// The camera's centre, in the frame of the background.
-    pub center: Point3<f64>,
-    /// Covariance of the point relative to the camera, in the frame and unit of the background.
-    pub covariance: Matrix3<f64>,
-}
-
-impl ObservedContact {
-    fn ray_m(&self, frame: &MetricFrame) -> Vector3<f64> {
-        let metric_from_world = frame.metric_from_world();
-        metric_from_world.rotation * (self.point - self.center) * metric_from_world.scale
-    }
-
-    /// Covariance along the metric axes, without that of the scale.
-    fn covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
-        in_metres(frame, &self.covariance)
-    }
-}
-
-/// Position and distance of a contact point in metres, relative to the camera; motion and place are for others to say.
-pub fn contact_pose(frame: &MetricFrame, contact: &ObservedContact) -> MetricPose {
-    let ray_m = contact.ray_m(frame);
-    let covariance = contact.covariance_m(frame) + ray_covariance(&ray_m, frame.log_scale_std(), 0.0);
-    let along = ray_m.try_normalize(0.0).unwrap_or_default();
-    MetricPose {
-        position_m: (frame.metric_from_world() * contact.point).coords.into(),
-        position_std_m: axes_std(&covariance),
-        distance_to_camera_m: ray_m.norm(),
-        distance_to_camera_std_m: along.dot(&(covariance * along)).max(0.0).sqrt(),
-        motion: None,
-        place: None,
-    }
-}
-
-/// Standard deviations of a contact point's place on the map along the axes of the metric frame.
-pub fn contact_place_std_m(frame: &MetricFrame, contact: &ObservedContact) -> [f64; 3] {
-    axes_std(&(alignment_covariance(frame, contact.point) + contact.covariance_m(frame)))
-}
-
 /// Along the ray in proportion to it, across it by the direction.
 fn ray_covariance(ray_m: &Vector3<f64>, log_std: f64, direction_std: f64) -> Matrix3<f64> {
     let along = ray_m * ray_m.transpose();

@@ -4,16 +4,15 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::placed::{Placing, in_units, span};
+use super::placed::{Placing, in_units, metric_of, span};
 use crate::math::rounding::percent;
 use crate::math::{median, quantile};
-use crate::metric::{ObservedContact, contact_place_std_m, contact_pose};
+use crate::metric::ObservedPoint;
 use crate::pipeline::driver::run::Outcome;
 use crate::scene::{
-    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, MapPlace, MetricPose, Motion,
-    Movement, TimeBase, Topic,
+    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, MetricPose, Motion, Movement,
+    TimeBase, Topic,
 };
-use crate::telemetry::Geodetic;
 use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 
 /// Standard deviation of the distance up to which a track is usable, as a share: that of a scale ratio beyond which a
@@ -119,44 +118,33 @@ impl Placing<'_> {
     fn dip_sine(&self, track: &GroundTrack) -> f64 {
         let up = self.frame.metric_from_world().rotation.inverse() * Vector3::z();
         let of = |position: &GroundPosition| {
-            let ObservedContact { point, center, .. } = self.observed(position)?;
+            let ObservedPoint { point, center, .. } = self.observed(position)?;
             Some(up.dot(&(center - point).try_normalize(0.0)?).max(0.0))
         };
         median(track.positions.iter().filter_map(of).collect()).unwrap_or(0.0)
     }
 
-    fn observed(&self, position: &GroundPosition) -> Option<ObservedContact> {
+    fn observed(&self, position: &GroundPosition) -> Option<ObservedPoint> {
         let center = self.images.get(position.name.as_str())?.cam_from_world.center();
-        Some(ObservedContact {
-            point: Point3::from(position.position),
-            center,
-            covariance: position.error.covariance(),
-        })
+        let (point, pose_covariance) = (Point3::from(position.position), position.error.covariance());
+        Some(ObservedPoint { point, center, log_ratio_std: 0.0, direction_std: 0.0, pose_covariance })
     }
 
     /// Standard deviation of the distance as a share of it, without that of metres per unit.
     fn distance_std(&self, position: &GroundPosition) -> Option<f64> {
-        let ObservedContact { point, center, covariance } = self.observed(position)?;
+        let ObservedPoint { point, center, pose_covariance, .. } = self.observed(position)?;
         let along = (point - center).try_normalize(0.0)?;
-        Some(along.dot(&(covariance * along)).max(0.0).sqrt() / (point - center).norm())
+        Some(along.dot(&(pose_covariance * along)).max(0.0).sqrt() / (point - center).norm())
     }
 
     fn contact_metric(&self, position: &GroundPosition) -> Option<MetricPose> {
-        let observed = self.observed(position)?;
-        let found = contact_pose(self.frame, &observed);
-        let place = self.map.map(|map| {
-            let Geodetic { longitude_deg, latitude_deg, height_m } = map.to_geodetic(Point3::from(found.position_m));
-            let place_std_m = contact_place_std_m(self.frame, &observed);
-            MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
-        });
-        let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
-        is_finite.then_some(MetricPose { place, ..found })
+        metric_of(self.frame, self.map.as_ref(), &self.observed(position)?)
     }
 
     fn contacts(&self, track: &GroundTrack) -> Vec<PositionMeasurement> {
         let metric_from_world = self.frame.metric_from_world();
         let contact = |position: &GroundPosition| {
-            let ObservedContact { point, center, .. } = self.observed(position)?;
+            let ObservedPoint { point, center, .. } = self.observed(position)?;
             Some(PositionMeasurement {
                 time_s: self.step_s() * position.time_s,
                 position_m: (metric_from_world * point).coords,

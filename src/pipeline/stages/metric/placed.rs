@@ -134,18 +134,21 @@ impl<'a> Placing<'a> {
         let center = self.images.get(pose.name.as_str())?.cam_from_world.center();
         let direction_std = self.direction_std;
         let (point, pose_covariance) = (Point3::from(pose.position), self.pose_covariance(id, pose) + of_body);
-        let sighted = ObservedPoint { point, center, log_ratio_std, direction_std, pose_covariance };
-        let found = metric_pose(self.frame, &sighted);
-        // Lengths that no number holds are no metres.
-        let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
-        is_finite.then(|| MetricPose { place: self.map.map(|map| self.place(&map, &found, &sighted)), ..found })
+        let observed = ObservedPoint { point, center, log_ratio_std, direction_std, pose_covariance };
+        metric_of(self.frame, self.map.as_ref(), &observed)
     }
+}
 
-    fn place(&self, map: &LocalFrame, found: &MetricPose, sighted: &ObservedPoint) -> MapPlace {
+/// Position in meters, and on the map where there is one; `None` for lengths that are not finite.
+pub(super) fn metric_of(frame: &MetricFrame, map: Option<&LocalFrame>, observed: &ObservedPoint) -> Option<MetricPose> {
+    let found = metric_pose(frame, observed);
+    let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());
+    let place = |map: &LocalFrame| {
         let Geodetic { longitude_deg, latitude_deg, height_m } = map.to_geodetic(Point3::from(found.position_m));
-        let place_std_m = place_std_m(self.frame, sighted);
+        let place_std_m = place_std_m(frame, observed);
         MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
-    }
+    };
+    is_finite.then(|| MetricPose { place: map.map(place), ..found })
 }
 
 /// Travel without what follows from meters.
