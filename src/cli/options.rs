@@ -75,7 +75,8 @@ refused by their path. `null` means not given.
 
 About 160 further options are internal: thresholds, solver settings and switches of single mechanisms, for contributors
 who tune or ablate (CONTRIBUTING). Their paths begin with `tuning.`, for example
-`tuning.scale.joint.independent_points`; `tractrix options --all` lists them with their effects. They may change with every version.
+`tuning.scale.joint.independent_points`; `tractrix options --all` lists them with their effects. They may change
+with every version.
 ";
 
 /// The page: a table for each section.
