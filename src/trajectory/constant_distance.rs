@@ -17,8 +17,8 @@
 //! * Equal sums: the larger numerator wins.
 //! * A winner whose r is not positive: the next pair in the order is taken, since a ratio of lengths is positive.
 //! * Long clips: the number of pairs grows with the square of the frames. Beyond [`MAX_PAIRS`] only those with the
-//!   largest numerators are ranked, which are the best of the first ranking; beyond [`MAX_RATIOS`] the spread is taken over
-//!   every k-th point only. The final least squares uses all points. Both limits lie far above a clip of 60 frames.
+//!   largest numerators are ranked, which are the best of the first ranking; beyond [`MAX_RATIOS`] the spread is taken
+//!   over every k-th point only. The final least squares uses all points. Both limits are far above 60 frames.
 
 use super::least_squares::LEAST_STD;
 use super::{Estimate, LeastSquares, Options, ScaleError, View, Views, least_squares};
