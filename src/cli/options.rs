@@ -73,7 +73,7 @@ A file for `--options` holds such a tree or a part of it; missing options keep t
 `--set KEY=VALUE` overrides the file and takes JSON or a word; flags override both. Unknown keys and invalid values are
 refused by their path. `null` means not given.
 
-About 160 further options are internal: thresholds, solver settings and switches of single mechanisms, for contributors
+About 125 further options are internal: thresholds, solver settings and switches of single mechanisms, for contributors
 who tune or ablate (CONTRIBUTING). Their paths begin with `tuning.`, for example
 `tuning.scale.joint.independent_points`; `tractrix options --all` lists them with their effects. They may change
 with every version.
