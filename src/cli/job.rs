@@ -45,10 +45,22 @@ pub(super) struct JobArgs {
     #[arg(long, value_name = "default|none|FILE", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
     pub(super) detector: Option<DetectorChoice>,
     /// Detection of vehicles by motion: `on` (default) or `off`
-    #[arg(long, value_name = "on|off", value_parser = named::<MotionChoice>, conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    #[arg(
+        long,
+        value_name = "on|off",
+        value_parser = named::<MotionChoice>,
+        conflicts_with_all = OWN_MASKS,
+        help_heading = "Vehicles"
+    )]
     pub(super) motion: Option<MotionChoice>,
     /// Mask network: `default` (MobileSAM), `small` (faster), or `none` (coarse masks by color)
-    #[arg(long, value_name = "default|small|none", value_parser = named::<MaskChoice>, conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]
+    #[arg(
+        long,
+        value_name = "default|small|none",
+        value_parser = named::<MaskChoice>,
+        conflicts_with_all = OWN_MASKS,
+        help_heading = "Vehicles"
+    )]
     pub(super) mask_network: Option<MaskChoice>,
     /// Interval of the mask network, frames; optical flow propagates masks in between [default: 0.4 seconds]
     #[arg(long, value_name = "N", conflicts_with_all = OWN_MASKS, help_heading = "Vehicles")]

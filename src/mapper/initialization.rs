@@ -34,17 +34,22 @@ pub struct Initializations<'a> {
 const GOOD_SHARE: f64 = 0.95;
 
 impl<'a> InitializationAttempt<'a> {
-    /// Grows a map from the pose priors; where there are none, or no points hold, from one pair after the other until
-    /// a map has nearly all views.
+    /// Grows a map from the pose priors, and from one pair after the other, until a map has nearly all views.
     pub fn grow_from_starts(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Initializations<'a>, MapperError> {
-        let from_priors = match self.poses {
+        let best = match self.poses {
             Some(poses) => self.grow_from(poses, seed, watch)?,
             None => None,
         };
-        match from_priors {
-            Some(mapper) => Ok(Initializations { best: Some(mapper), tried: 1, ..Initializations::default() }),
-            None => self.grow_from_pairs(seed, watch),
+        let found = Initializations { tried: usize::from(best.is_some()), best, ..Initializations::default() };
+        match &found.best {
+            Some(mapper) if self.is_good(mapper) => Ok(found),
+            _ => self.grow_from_pairs(found, seed, watch),
         }
+    }
+
+    /// Returns true if a map has nearly all views.
+    fn is_good(&self, mapper: &IncrementalMapper) -> bool {
+        mapper.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64
     }
 
     fn mapper(&self, seed: u64) -> IncrementalMapper<'a> {
@@ -68,11 +73,17 @@ impl<'a> InitializationAttempt<'a> {
         Ok(Some(mapper))
     }
 
-    fn grow_from_pairs(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Initializations<'a>, MapperError> {
+    /// * `found` – the map that is kept unless one explains more.
+    fn grow_from_pairs(
+        &self,
+        mut found: Initializations<'a>,
+        seed: u64,
+        watch: &mut dyn FnMut(f64),
+    ) -> Result<Initializations<'a>, MapperError> {
         let Self { table, cameras, known, options, .. } = *self;
         let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
-        let mut found = Initializations { survey, ..Initializations::default() };
-        let mut most = f64::NEG_INFINITY;
+        found.survey = survey;
+        let mut most = found.best.as_ref().map_or(f64::NEG_INFINITY, IncrementalMapper::num_explained);
         let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
         for pair in apart.iter().take(options.max_starts) {
             let before = found.tried as f64;
@@ -88,9 +99,7 @@ impl<'a> InitializationAttempt<'a> {
                 }
             }
             watch((before + 1.0) / found.tried as f64);
-            let is_good =
-                |mapper: &IncrementalMapper| mapper.num_registered() as f64 >= GOOD_SHARE * self.num_usable() as f64;
-            if found.best.as_ref().is_some_and(is_good) {
+            if found.best.as_ref().is_some_and(|mapper| self.is_good(mapper)) {
                 break;
             }
         }

@@ -1,6 +1,6 @@
 //! The page that a person looks at: `report.html`, one file that needs no network.
 //!
-//! [`Data`] holds what a run found, in the nouns of [`crate::scene`]; [`write()`] turns it into the page. The page is
+//! [`Data`] holds what a run found, in the nouns of [`crate::scene`]; [`render`] turns it into the page. The page is
 //! made of `page/report.html` (a template that escapes everything it is given: file names are hostile),
 //! `page/style.css`, `page/page.js` (time, strip, charts) and `page/view3d.js` (the 3D view, on three.js from
 //! `third_party/three`). A content security policy inside the page lets run no script but these and load nothing from

@@ -97,7 +97,7 @@ fn those_of_intrinsics_are_blocks_of_the_inverse_normal_matrix() {
     let own = scene::Options { camera_per_image: true, ..options };
     let (_, mut problem) = disturbed(&own, CameraBlock::free_focal_and_radial);
     adjust(&mut problem, &tight()).unwrap();
-    let wanted = Wanted { cameras: vec![2], poses: vec![2], ..Wanted::default() };
+    let wanted = Wanted { cameras: vec![2], poses: vec![2] };
     let found = covariances(&problem, &tight(), &wanted).unwrap();
     assert!(found.cameras[0][(0, 0)] > 0.0 && found.cameras[0][(0, 0)] == found.cameras[0][(1, 1)]);
 }

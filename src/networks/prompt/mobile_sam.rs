@@ -83,7 +83,7 @@ fn refuse_unless(fits: bool, model: &Model, supported: &'static str) -> Result<(
     if fits {
         return Ok(());
     }
-    Err(PerceptionError::unknown_layout(&model, "box mask", supported))
+    Err(PerceptionError::unknown_layout(model, "box mask", supported))
 }
 
 /// Both parts of the network, ready to run.

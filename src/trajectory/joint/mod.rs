@@ -33,7 +33,7 @@ use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
 
 /// Most rounds of adjustment and new contact; it stops earlier when the contact stays.
 const MAX_ROUNDS: usize = 5;
-/// Maximum growth of the image positions' median error, as a factor: beyond it ground and images contradict one another.
+/// Maximum growth of the image positions' median error, as a factor: beyond it ground and images contradict each other.
 const MAX_ERROR_GROWTH: f64 = 3.0;
 /// Standard deviation of a point's position, as a share of the object's radius (the median distance of its points from
 /// the middle), beyond which it is removed: few frames observe it, and no neighbors define a surface for it.
