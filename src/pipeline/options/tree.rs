@@ -108,7 +108,9 @@ fn put(options: &mut Options, path: &str, value: &Value) -> Checked {
         group.insert(name.to_owned(), value.clone());
     }
     let wrong = |reason: String| OptionError::new(path, reason);
-    let changed: Options = serde_json::from_value(changed).map_err(|error| wrong(error.to_string()))?;
+    // The error names no part of a value: of one with parts the value shows which is meant.
+    let quoted = if value.is_object() { format!("{value}: ") } else { String::new() };
+    let changed: Options = serde_json::from_value(changed).map_err(|error| wrong(format!("{quoted}{error}")))?;
     // Single precision takes 1e300 for infinite, which JSON cannot say.
     if !value.is_null() && tree(&changed).pointer(&pointer(path)).is_some_and(Value::is_null) {
         return Err(wrong(format!("{value}: number out of range")));
