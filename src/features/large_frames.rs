@@ -10,8 +10,7 @@ use super::tracks::TrackTable;
 use super::video_front_end::{VideoFrontEnd, VideoOptions};
 use crate::camera::Camera;
 use crate::features::FeatureError;
-use crate::image::Picture;
-use crate::image::{RgbImage, resize_rgb, scale_to_fit};
+use crate::image::{Picture, RgbImage, resize_rgb, scale_to_fit};
 use crate::scene::{Frame, Mask};
 
 /// Longer side from which on the pyramid grows.
