@@ -7,10 +7,10 @@
 
 `post`: a textured board stands in the world between the camera and the target, so wide that the target is hidden in
 at least --hidden frames. `lorry`: a textured box passes before the target and hides all of it. `sweep`: the vehicle of
-another sequence passes before the lower part of the target, as high as --cover of it. DIR gets video.mp4, masks and
-scene.json as SEQUENCE has them, so that `perception.py rendered` and `tractrix evaluate` read it; labels of occluders
-are 2 where they are vehicles, else 0. Needs numpy, OpenCV and the program ffmpeg. The same arguments give the same
-frames.
+another sequence passes before the lower part of the target, as high as --cover of it. DIR gets video.mp4, masks,
+semantic and scene.json as SEQUENCE has them, so that `perception.py rendered`, `tractrix benchmark` and `tractrix
+evaluate` read it; masks have 2 where an occluder is a vehicle, else 0, and semantic has 0. Needs numpy, OpenCV and the
+program ffmpeg. The same arguments give the same frames.
 """
 
 import argparse
@@ -26,6 +26,7 @@ import numpy as np
 
 Image = np.ndarray
 TARGET, VEHICLE = 1, 2
+NO_LABEL = 0
 LEAST_VISIBLE = 0.05
 
 
@@ -44,19 +45,23 @@ class Sequence:
         frames = self.scene["frames"]
         self.pictures: list[Image] = [decoded[frame.get("video_frame", frame["index"])] for frame in frames]
         self.labels: list[Image] = [cv2.imread(str(folder / frame["mask"]), 0) for frame in frames]
+        self.semantic: list[Image] = [cv2.imread(str(folder / frame["semantic"]), 0) for frame in frames]
 
     def write(self, folder: Path) -> None:
         """Writes it elsewhere; what does not change is linked."""
         shutil.rmtree(folder, ignore_errors=True)
-        (folder / "masks").mkdir(parents=True)
+        for kind in ("masks", "semantic"):
+            (folder / kind).mkdir(parents=True)
         size = f"{self.scene['width']}x{self.scene['height']}"
         encode = ["ffmpeg", "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "bgr24", "-s", size]
         encode += ["-r", str(self.scene["fps"]), "-i", "-", "-c:v", "libx264", "-crf", "18", "-pix_fmt", "yuv420p"]
         data = b"".join(picture.tobytes() for picture in self.pictures)
         subprocess.run([*encode, "-threads", "1", folder / "video.mp4"], input=data, check=True)
-        for index, (frame, labels) in enumerate(zip(self.scene["frames"], self.labels)):
-            frame["mask"], frame["video_frame"] = f"masks/{index:05d}.png", index
+        for index, (frame, labels, semantic) in enumerate(zip(self.scene["frames"], self.labels, self.semantic)):
+            frame["mask"], frame["semantic"] = f"masks/{index:05d}.png", f"semantic/{index:05d}.png"
+            frame["video_frame"] = index
             cv2.imwrite(str(folder / frame["mask"]), labels)
+            cv2.imwrite(str(folder / frame["semantic"]), semantic)
         for name in ("object_mesh.ply", "ground_mesh.ply"):
             os.symlink((self.folder / name).resolve(), folder / name)
         (folder / "scene.json").write_text(json.dumps(self.scene))
@@ -65,6 +70,7 @@ class Sequence:
         """Replaces pixels of a frame."""
         self.pictures[index] = np.where(where[:, :, None], picture, self.pictures[index])
         self.labels[index] = np.where(where, label, self.labels[index]).astype(np.uint8)
+        self.semantic[index] = np.where(where, NO_LABEL, self.semantic[index]).astype(np.uint8)
 
 
 def texture(height: int, width: int, seed: int, colour: tuple[int, int, int]) -> Image:
