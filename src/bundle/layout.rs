@@ -129,7 +129,7 @@ impl Layout {
     pub fn new(problem: &Problem, options: &Options, parallel: bool) -> Self {
         let used = usable_observations(problem, options.behind, parallel);
         let num_ignored = problem.observations.len() - used.len();
-        let gauge = GaugeChoice::new(problem, &used, options.gauge);
+        let gauge = GaugeChoice::new(problem, &used, options);
         let mut layout = Self::cameras_and_blocks(problem, &used, &gauge);
         layout.num_ignored = num_ignored;
         layout.scale_pair = gauge.scale_pair;
@@ -357,13 +357,16 @@ struct GaugeChoice {
     scale_pair: Option<(usize, usize)>,
     /// Pose and axis of its translation that does not move.
     held_axis: Option<(usize, usize)>,
+    /// True if no pose turns.
+    hold_rotations: bool,
 }
 
 impl GaugeChoice {
-    fn new(problem: &Problem, used: &[u32], gauge: Gauge) -> Self {
-        let nothing = Self { held_pose: None, scale_pair: None, held_axis: None };
+    fn new(problem: &Problem, used: &[u32], options: &Options) -> Self {
+        let hold_rotations = options.hold_rotations;
+        let nothing = Self { held_pose: None, scale_pair: None, held_axis: None, hold_rotations };
         let points_fixed = problem.points.iter().any(|p| p.fixed);
-        if gauge == Gauge::Free || points_fixed || problem.priors.hold_gauge() {
+        if options.gauge == Gauge::Free || points_fixed || problem.priors.hold_gauge() {
             return nothing;
         }
         let observed = observed_poses(problem, used);
@@ -380,13 +383,21 @@ impl GaugeChoice {
             .max_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(b.cmp(a)))
             .filter(|p| distance(*p) > 0.0);
         let axis_of = |p: usize| (p, largest_axis(problem.poses[p].cam_from_world * center(held)));
-        Self { held_pose: Some(held), scale_pair: farthest.map(|far| (held, far)), held_axis: farthest.map(axis_of) }
+        Self {
+            held_pose: Some(held),
+            scale_pair: farthest.map(|far| (held, far)),
+            held_axis: farthest.map(axis_of),
+            hold_rotations,
+        }
     }
 
     fn mask(&self, pose: usize, fixed: bool) -> [bool; POSE_DIM] {
         let mut mask = [!fixed && self.held_pose != Some(pose); POSE_DIM];
         if let Some((_, axis)) = self.held_axis.filter(|(held, _)| *held == pose) {
             mask[3 + axis] = false;
+        }
+        if self.hold_rotations {
+            mask[..3].fill(false);
         }
         mask
     }

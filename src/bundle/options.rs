@@ -59,6 +59,8 @@ pub struct Options {
     pub linear_solver: LinearSolver,
     /// Choice of the gauge.
     pub gauge: Gauge,
+    /// True if no camera turns.
+    pub hold_rotations: bool,
     /// Treatment of points behind a camera at the start.
     pub behind: Behind,
 }
@@ -75,6 +77,7 @@ impl Default for Options {
             threads: 0,
             linear_solver: LinearSolver::Auto,
             gauge: Gauge::Auto,
+            hold_rotations: false,
             behind: Behind::Ignore,
         }
     }

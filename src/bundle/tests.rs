@@ -108,6 +108,24 @@ fn noise_leaves_the_residual_that_its_freedoms_allow() {
 }
 
 #[test]
+fn held_rotations_do_not_change_while_positions_and_points_are_found() {
+    let (truth, mut problem) = disturbed(&scene::Options::default(), CameraBlock::fixed);
+    // True rotations, wrong positions.
+    for (pose, image) in problem.poses.iter_mut().zip(truth.images.values()) {
+        let center = pose.cam_from_world.center();
+        pose.cam_from_world = Rigid3::from_rotation_and_center(image.cam_from_world.rotation, center);
+    }
+    let before = problem.clone();
+    let summary = adjust(&mut problem, &Options { hold_rotations: true, ..tight() }).unwrap();
+    assert!(summary.final_cost < 1e-9 && summary.initial_cost > 1e3, "{summary:?}");
+    for (pose, before) in problem.poses.iter().zip(&before.poses) {
+        assert!(pose.cam_from_world.angle_to(&before.cam_from_world) < 1e-12);
+    }
+    let (centers, points, _) = errors(&truth, &problem);
+    assert!(centers < 1e-5 && points < 1e-4, "{centers} {points}");
+}
+
+#[test]
 fn the_gauge_is_held_and_held_blocks_do_not_move() {
     let options = scene::Options { noise_px: 0.5, ..Default::default() };
     let (_, before) = disturbed(&options, CameraBlock::fixed);
