@@ -276,8 +276,8 @@ fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, ObjectImage
         let sight = |(frame, seen): (&FrameId, &ObjectImage)| {
             let image = by_frame.get(frame)?;
             let (camera, cam_from_world) = (background.camera_of(image).zoomed(zoom), image.cam_from_world.rotation);
-            let ray = cam_from_world.inverse() * camera.ray_from_pixel(seen.middle);
-            let log_extent = seen.extent_px.ln();
+            let ray = cam_from_world.inverse() * camera.ray_from_pixel(seen.middle());
+            let log_extent = seen.extent_px().ln();
             log_extent.is_finite().then_some(Sight { camera, cam_from_world, ray, log_extent })
         };
         let sights: Vec<Sight> = vehicle.iter().step_by(step).filter_map(sight).collect();
@@ -568,7 +568,8 @@ mod tests {
                 let sight = Sight { camera, cam_from_world: UnitQuaternion::identity(), ray: up, log_extent: 0.0 };
                 let box_px = sight.box_extent_px(&(point.coords / HEIGHT), &forward, &up).unwrap();
                 let extent_px = noise * size / HEIGHT * box_px;
-                images.insert(FrameId(frame), ObjectImage { middle: pixel, extent_px });
+                let half = Vector2::repeat(0.5 * extent_px);
+                images.insert(FrameId(frame), ObjectImage { least: pixel - half, most: pixel + half });
             }
             images
         };

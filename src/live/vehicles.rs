@@ -232,10 +232,8 @@ impl Vehicles {
         let is_whole = |rect: &Rect| {
             rect.x0 > 0.0 && rect.y0 > 0.0 && rect.x1 < f64::from(camera.width) && rect.y1 < f64::from(camera.height)
         };
-        let image = |rect: &Rect| ObjectImage {
-            middle: Point2::new(rect.x0 + rect.x1, rect.y0 + rect.y1) * 0.5,
-            extent_px: rect.width().max(rect.height()),
-        };
+        let image =
+            |rect: &Rect| ObjectImage { least: Point2::new(rect.x0, rect.y0), most: Point2::new(rect.x1, rect.y1) };
         let of_vehicle = |vehicle: &Vehicle| {
             vehicle.rects.iter().filter(|(_, rect)| is_whole(rect)).map(|(&id, rect)| (id, image(rect))).collect()
         };

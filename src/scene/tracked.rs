@@ -168,13 +168,25 @@ pub struct UnmergedTrack {
     pub reason: String,
 }
 
-/// Image of an object as a whole.
+/// Image of an object as a whole: the box round what is seen of it, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ObjectImage {
-    /// The middle of what is seen of it, pixels.
-    pub middle: Point2<f64>,
-    /// The longer side of the box round that, pixels.
-    pub extent_px: f64,
+    /// Its upper left corner.
+    pub least: Point2<f64>,
+    /// Its lower right corner.
+    pub most: Point2<f64>,
+}
+
+impl ObjectImage {
+    /// The middle of the box.
+    pub fn middle(&self) -> Point2<f64> {
+        nalgebra::center(&self.least, &self.most)
+    }
+
+    /// The longer side of the box.
+    pub fn extent_px(&self) -> f64 {
+        (self.most - self.least).max()
+    }
 }
 
 /// An object that was followed through the frames.

@@ -58,8 +58,8 @@ pub(super) fn moves(seen: &BTreeMap<FrameId, ObjectImage>, poses: &Reconstructio
     let ray = |(frame, seen): (&FrameId, &ObjectImage)| {
         let image = poses.images.get(&(*frame).into())?;
         let camera = poses.camera_of(image);
-        let ray = image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(seen.middle);
-        Some((ray, seen.extent_px / camera.mean_focal()))
+        let ray = image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(seen.middle());
+        Some((ray, seen.extent_px() / camera.mean_focal()))
     };
     let ends = seen.iter().find_map(ray).zip(seen.iter().rev().find_map(ray));
     ends.is_some_and(|((first, extent), (last, _))| first.angle(&last) > extent)

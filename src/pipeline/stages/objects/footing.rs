@@ -11,6 +11,7 @@ use nalgebra::Point2;
 
 use super::super::ground::body_shape;
 use super::super::{background, track};
+use super::object_boxes::object_boxes;
 use crate::features::tracks::{TrackTable, View};
 use crate::ground::{DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
@@ -25,8 +26,6 @@ use crate::trajectory::ground_constrained_poses;
 
 /// By what share of its extent the middle of what is seen of an object may lie next to its middle.
 const OFF_MIDDLE: f64 = 0.25;
-/// Fewest features that show where an object is.
-const MIN_FEATURES: usize = 5;
 
 /// The ground of a place, as far as it can be determined without labels.
 pub(super) struct Footing<'a> {
@@ -73,9 +72,9 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
         for (id, mask) in track::masks_of(run, &tracked, frame)? {
             let whole = mask.bounding_box().filter(|bounds| !is_cut(bounds, &mask));
             let Some(bounds) = whole else { continue };
-            let middle = Point2::new(f64::from(bounds.x0 + bounds.x1), f64::from(bounds.y0 + bounds.y1)) * 0.5;
-            let extent_px = f64::from(bounds.width().max(bounds.height()));
-            vehicles.entry(id).or_default().insert(frame.id, ObjectImage { middle, extent_px });
+            let corner = |x: u32, y: u32| Point2::new(f64::from(x), f64::from(y));
+            let (least, most) = (corner(bounds.x0, bounds.y0), corner(bounds.x1, bounds.y1));
+            vehicles.entry(id).or_default().insert(frame.id, ObjectImage { least, most });
         }
     }
     let vehicles: Vec<_> = vehicles.into_values().collect();
@@ -96,28 +95,12 @@ pub fn object_pose_priors(
     table: &TrackTable,
     options: &Options,
 ) -> Option<PosePriors> {
-    let sights = sights(table);
-    let extent_px = median(sights.values().map(|sight| sight.extent_px).collect())?;
+    let boxes = object_boxes(table);
+    let extent_px = median(boxes.values().map(ObjectImage::extent_px).collect())?;
     let planes = chain.planes(id, &without_poses(table), &options.ground, options.seed).planes;
-    let found = ground_constrained_poses(chain.background, &planes, &sights);
+    let found = ground_constrained_poses(chain.background, &planes, &boxes);
     let poses = table.views.iter().map(|view| found.get(&view.image.frame()).copied()).collect();
     (!found.is_empty()).then_some(PosePriors { poses, error_px: OFF_MIDDLE * extent_px })
-}
-
-/// Where the views show their object.
-fn sights(table: &TrackTable) -> BTreeMap<FrameId, ObjectImage> {
-    table.views.iter().filter_map(|view| Some((view.image.frame(), sight(view)?))).collect()
-}
-
-/// Where a view shows its object: the box round its features.
-fn sight(view: &View) -> Option<ObjectImage> {
-    let ends = [0, 1].map(|axis| {
-        let along = || view.pixels.iter().map(|pixel| pixel[axis]);
-        (along().fold(f64::INFINITY, f64::min), along().fold(f64::NEG_INFINITY, f64::max))
-    });
-    let middle = Point2::from(ends.map(|(least, most)| 0.5 * (least + most)));
-    let extent_px = ends.map(|(least, most)| most - least).into_iter().fold(0.0, f64::max);
-    (view.pixels.len() >= MIN_FEATURES && extent_px.is_finite()).then_some(ObjectImage { middle, extent_px })
 }
 
 /// Where an object is seen, as a model without points: that is all that local planes ask for.

@@ -6,6 +6,7 @@
 //! it.
 
 mod footing;
+mod object_boxes;
 
 use crate::mapper;
 use std::collections::BTreeMap;
