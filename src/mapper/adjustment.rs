@@ -17,6 +17,8 @@ pub enum Scope {
     Points,
     /// All views and points, as far as it takes to measure the noise and to tell which observations are wrong.
     Roughly,
+    /// The same, but no view turns.
+    Positions,
     /// All views, and in each about so many points: the longest tracks of every part of the image.
     Selected {
         /// Points per view.
@@ -39,15 +41,22 @@ pub struct Stretch {
     pub per_view: Option<usize>,
     /// When it ends; see [`Scope::limits`].
     pub limits: (usize, f64),
+    /// True if no view turns.
+    pub hold_rotations: bool,
 }
 
 impl Scope {
+    /// Returns true if no view turns.
+    pub fn holds_rotations(&self) -> bool {
+        matches!(self, Self::Positions | Self::Stretch(Stretch { hold_rotations: true, .. }))
+    }
+
     /// When an adjustment ends: after so many iterations, or at so small a share of the cost.
     pub fn limits(&self, options: &Options) -> (usize, f64) {
         match self {
             Self::Stretch(stretch) => stretch.limits,
             Self::Everything | Self::Points | Self::Selected { .. } => (30, 1e-6),
-            Self::Roughly => (30, options.coarse_tolerance),
+            Self::Roughly | Self::Positions => (30, options.coarse_tolerance),
             Self::Around(_) => (10, 1e-4),
         }
     }
@@ -119,7 +128,9 @@ pub fn adjust(
     let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
     let (max_iterations, function_tolerance) = scope.limits(options);
     let loss = options.loss(noise);
-    let bundle_options = bundle::Options { loss, max_iterations, function_tolerance, ..bundle::Options::default() };
+    let hold_rotations = scope.holds_rotations();
+    let bundle_options =
+        bundle::Options { loss, max_iterations, function_tolerance, hold_rotations, ..bundle::Options::default() };
     let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
     while hold_odd_lenses(&mut freedom, &problem) {
         (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
@@ -157,7 +168,7 @@ pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (V
     let mut tracks = vec![false; map.table.tracks.len()];
     let mut free_views = vec![true; map.poses.len()];
     match scope {
-        Scope::Everything | Scope::Roughly | Scope::Points => {
+        Scope::Everything | Scope::Roughly | Scope::Positions | Scope::Points => {
             tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some());
             free_views.fill(!matches!(scope, Scope::Points));
         }

@@ -95,7 +95,8 @@ fn stretch_of(scope: &Scope, views: Range<usize>, counted: Range<usize>, options
         Scope::Selected { per_view } => Some(*per_view),
         _ => None,
     };
-    Stretch { views, counted, per_view, limits: scope.limits(options) }
+    let (limits, hold_rotations) = (scope.limits(options), scope.holds_rotations());
+    Stretch { views, counted, per_view, limits, hold_rotations }
 }
 
 /// Stretches of a map that share no observation, on some points in every part of every view; of one that is not long

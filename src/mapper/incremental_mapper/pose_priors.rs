@@ -36,11 +36,13 @@ impl IncrementalMapper<'_> {
         for _ in 0..ROUNDS {
             self.map.triangulate_all(&wide);
             self.map.update_observations(&wide);
-            // The adjustments that follow run to their end; these only tell which observations are wrong.
-            self.adjust(&Scope::Roughly, Freedom::Nothing)?;
+            // Free to turn, cameras that saw points only roughly would turn as these ask for.
+            self.adjust(&Scope::Positions, Freedom::Nothing)?;
             wide.max_error_px = limits.max_error_px.max(0.5 * wide.max_error_px);
         }
         self.map.triangulate_all(&limits);
+        self.map.update_observations(&limits);
+        self.adjust(&Scope::Roughly, Freedom::Nothing)?;
         self.map.update_observations(&limits);
         self.drop_unsupported_views()?;
         self.adjusted_at = self.map.num_registered();
