@@ -1,4 +1,4 @@
-//! Start of a map: known poses, or one pair of views after the other.
+//! Start of a map: pose priors, or one pair of views after the other.
 
 use super::incremental_mapper::{IncrementalMapper, PosePriors};
 use super::initial_pair::{self, InitialPair};
@@ -34,16 +34,16 @@ pub struct Initializations<'a> {
 const GOOD_SHARE: f64 = 0.95;
 
 impl<'a> InitializationAttempt<'a> {
-    /// Grows a map from the pose priors, and from one pair after the other, until a map has nearly all views.
+    /// Grows a map from the pose priors; without these, or where their points do not hold, from one pair after the
+    /// other, until a map has nearly all views.
     pub fn grow_from_starts(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Initializations<'a>, MapperError> {
-        let best = match self.poses {
-            Some(poses) => self.grow_from(poses, seed, watch)?,
+        let from_priors = match self.poses {
+            Some(poses) => self.grow_from_priors(poses, seed, watch)?,
             None => None,
         };
-        let found = Initializations { tried: usize::from(best.is_some()), best, ..Initializations::default() };
-        match &found.best {
-            Some(mapper) if self.is_good(mapper) => Ok(found),
-            _ => self.grow_from_pairs(found, seed, watch),
+        match from_priors {
+            Some(mapper) => Ok(Initializations { best: Some(mapper), tried: 1, ..Initializations::default() }),
+            None => self.grow_from_pairs(seed, watch),
         }
     }
 
@@ -58,7 +58,7 @@ impl<'a> InitializationAttempt<'a> {
     }
 
     /// The map that grows from poses; `None` where no points hold.
-    fn grow_from(
+    fn grow_from_priors(
         &self,
         poses: &PosePriors,
         seed: u64,
@@ -73,17 +73,11 @@ impl<'a> InitializationAttempt<'a> {
         Ok(Some(mapper))
     }
 
-    /// * `found` – the map that is kept unless one explains more.
-    fn grow_from_pairs(
-        &self,
-        mut found: Initializations<'a>,
-        seed: u64,
-        watch: &mut dyn FnMut(f64),
-    ) -> Result<Initializations<'a>, MapperError> {
+    fn grow_from_pairs(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Initializations<'a>, MapperError> {
         let Self { table, cameras, known, options, .. } = *self;
         let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
-        found.survey = survey;
-        let mut most = found.best.as_ref().map_or(f64::NEG_INFINITY, IncrementalMapper::num_explained);
+        let mut found = Initializations { survey, ..Initializations::default() };
+        let mut most = f64::NEG_INFINITY;
         let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
         for pair in apart.iter().take(options.max_starts) {
             let before = found.tried as f64;
