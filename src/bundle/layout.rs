@@ -383,12 +383,8 @@ impl GaugeChoice {
             .max_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(b.cmp(a)))
             .filter(|p| distance(*p) > 0.0);
         let axis_of = |p: usize| (p, largest_axis(problem.poses[p].cam_from_world * center(held)));
-        Self {
-            held_pose: Some(held),
-            scale_pair: farthest.map(|far| (held, far)),
-            held_axis: farthest.map(axis_of),
-            hold_rotations,
-        }
+        let (scale_pair, held_axis) = (farthest.map(|far| (held, far)), farthest.map(axis_of));
+        Self { held_pose: Some(held), scale_pair, held_axis, ..nothing }
     }
 
     fn mask(&self, pose: usize, fixed: bool) -> [bool; POSE_DIM] {

@@ -24,7 +24,7 @@ use super::height::CameraHeight;
 use super::local::{LocalPlanes, SkipReason, SkippedFrame, lowest_foot, object_pixels};
 use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION, MAX_TILT_STD, ROLL_STD, up_in_cam};
 use crate::math::{RobustLoss, median};
-use crate::scene::{FrameId, GroundPlane, Image, ObjectImage, PlaneBasis, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction, Rect};
 
 /// The ground below a camera that does not translate.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -143,7 +143,7 @@ const MAX_DEVIATIONS: f64 = 3.0;
 /// * `focal_std` – standard deviation of the focal length as a share of it.
 pub fn hovering_ground(
     background: &Reconstruction,
-    vehicles: &[BTreeMap<FrameId, ObjectImage>],
+    vehicles: &[BTreeMap<FrameId, Rect>],
     stated: Vec<StatedTilt>,
     focal_std: f64,
 ) -> Option<HoveringGround> {
@@ -225,7 +225,7 @@ struct TiltSolver {
 }
 
 impl TiltSolver {
-    fn new(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, ObjectImage>], focal_std: f64) -> Option<Self> {
+    fn new(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, Rect>], focal_std: f64) -> Option<Self> {
         let world_from_cam = background.images.values().next()?.cam_from_world.rotation.inverse();
         let problem =
             |log_focal: f64| Problem { vehicles: sights(background, vehicles, log_focal.exp()), world_from_cam };
@@ -269,14 +269,14 @@ impl TiltSolver {
 }
 
 /// Sights of the vehicles in the frames, by cameras whose focal length is `zoom` times the one of the background.
-fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, ObjectImage>], zoom: f64) -> Vec<Vehicle> {
+fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, Rect>], zoom: f64) -> Vec<Vehicle> {
     let by_frame: BTreeMap<FrameId, &Image> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
-    let sights_of = |vehicle: &BTreeMap<FrameId, ObjectImage>| {
+    let sights_of = |vehicle: &BTreeMap<FrameId, Rect>| {
         let step = vehicle.len().div_ceil(MOST_SIGHTS).max(1);
-        let sight = |(frame, seen): (&FrameId, &ObjectImage)| {
+        let sight = |(frame, seen): (&FrameId, &Rect)| {
             let image = by_frame.get(frame)?;
             let (camera, cam_from_world) = (background.camera_of(image).zoomed(zoom), image.cam_from_world.rotation);
-            let ray = cam_from_world.inverse() * camera.ray_from_pixel(seen.middle());
+            let ray = cam_from_world.inverse() * camera.ray_from_pixel(seen.center().into());
             let log_extent = seen.extent_px().ln();
             log_extent.is_finite().then_some(Sight { camera, cam_from_world, ray, log_extent })
         };
@@ -536,7 +536,7 @@ mod tests {
     use rand_distr::StandardNormal;
 
     /// A camera at rest that looks down by `pitch`, rolled by `roll`; vehicles of 4.5 m drive on straight lines.
-    fn scene(pitch: f64, roll: f64, seed: u64) -> (Reconstruction, Vec<BTreeMap<FrameId, ObjectImage>>, Vector3<f64>) {
+    fn scene(pitch: f64, roll: f64, seed: u64) -> (Reconstruction, Vec<BTreeMap<FrameId, Rect>>, Vector3<f64>) {
         const HEIGHT: f64 = 60.0;
         let camera = Camera::with_focal(1280, 720, 1000.0);
         let mut background = Reconstruction::default();
@@ -569,7 +569,7 @@ mod tests {
                 let box_px = sight.box_extent_px(&(point.coords / HEIGHT), &forward, &up).unwrap();
                 let extent_px = noise * size / HEIGHT * box_px;
                 let half = Vector2::repeat(0.5 * extent_px);
-                images.insert(FrameId(frame), ObjectImage { least: pixel - half, most: pixel + half });
+                images.extend(Rect::around(&[pixel - half, pixel + half]).map(|bounds| (FrameId(frame), bounds)));
             }
             images
         };

@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use ::image::RgbImage;
-use nalgebra::{Matrix3, Point2, Point3};
+use nalgebra::{Matrix3, Point3};
 
 use super::WINDOW_S;
 use super::georeference::rounded;
@@ -21,8 +21,7 @@ use crate::image::Picture;
 use crate::metric::{ObservedPoint, in_metres};
 use crate::pipeline::{Options, PipelineError};
 use crate::scene::{
-    Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, ObjectImage, Reconstruction,
-    Rect,
+    Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, Reconstruction, Rect,
 };
 use crate::tracking::TrackedMask;
 use crate::tracking::merging::{Pair, same};
@@ -228,14 +227,12 @@ impl Vehicles {
     }
 
     /// Images of the vehicles that the border of the image does not cut.
-    pub(super) fn images(&self, camera: &Camera) -> Vec<BTreeMap<FrameId, ObjectImage>> {
+    pub(super) fn images(&self, camera: &Camera) -> Vec<BTreeMap<FrameId, Rect>> {
         let is_whole = |rect: &Rect| {
             rect.x0 > 0.0 && rect.y0 > 0.0 && rect.x1 < f64::from(camera.width) && rect.y1 < f64::from(camera.height)
         };
-        let image =
-            |rect: &Rect| ObjectImage { least: Point2::new(rect.x0, rect.y0), most: Point2::new(rect.x1, rect.y1) };
         let of_vehicle = |vehicle: &Vehicle| {
-            vehicle.rects.iter().filter(|(_, rect)| is_whole(rect)).map(|(&id, rect)| (id, image(rect))).collect()
+            vehicle.rects.iter().filter(|(_, rect)| is_whole(rect)).map(|(&id, rect)| (id, *rect)).collect()
         };
         self.vehicles.values().filter(|vehicle| vehicle.identity.is_some()).map(of_vehicle).collect()
     }

@@ -15,9 +15,7 @@ use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::image::Picture;
 use crate::math::{Rigid3, median, seeded_rng};
 use crate::pipeline::PipelineError;
-use crate::scene::{
-    CameraId, Frame, FrameId, Image, ImageId, Mask, ObjectImage, Observation, Point3dId, Reconstruction,
-};
+use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, Point3dId, Reconstruction, Rect};
 
 /// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
 const MAX_POINTS: usize = 700;
@@ -60,7 +58,7 @@ pub(super) struct Snapshot {
     /// Poses in the frame of the last map.
     pub(super) poses: BTreeMap<FrameId, Rigid3>,
     /// Images of the vehicles.
-    pub(super) vehicles: Vec<BTreeMap<FrameId, ObjectImage>>,
+    pub(super) vehicles: Vec<BTreeMap<FrameId, Rect>>,
     /// Straight lines of some of the frames.
     pub(super) lines: Vec<ImageLines>,
     pub(super) purpose: Purpose,
@@ -129,7 +127,7 @@ impl Window {
     }
 
     /// The window as it is now.
-    pub(super) fn snapshot(&self, purpose: Purpose, vehicles: Vec<BTreeMap<FrameId, ObjectImage>>) -> Snapshot {
+    pub(super) fn snapshot(&self, purpose: Purpose, vehicles: Vec<BTreeMap<FrameId, Rect>>) -> Snapshot {
         let (table, frames, is_key) = (self.front_end.table().clone(), self.frames.clone(), self.is_key.clone());
         let (poses, lines) = (self.poses.clone(), self.lines.clone());
         Snapshot { table, frames, is_key, poses, vehicles, lines, purpose }

@@ -1,5 +1,6 @@
 //! Objects found in one frame as boxes, before their pixels are known.
 
+use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::BoundingBox;
@@ -18,6 +19,12 @@ pub struct Rect {
 }
 
 impl Rect {
+    /// The smallest box that holds all of some points; `None` of none.
+    pub fn around<'a>(points: impl IntoIterator<Item = &'a Point2<f64>>) -> Option<Self> {
+        let of_point = |point: &Point2<f64>| Self { x0: point.x, y0: point.y, x1: point.x, y1: point.y };
+        points.into_iter().map(of_point).reduce(|a, b| a.union(&b))
+    }
+
     /// Width, pixels; 0 for a box that is turned inside out.
     pub fn width(&self) -> f64 {
         (self.x1 - self.x0).max(0.0)
@@ -31,6 +38,11 @@ impl Rect {
     /// Its middle.
     pub fn center(&self) -> [f64; 2] {
         [0.5 * (self.x0 + self.x1), 0.5 * (self.y0 + self.y1)]
+    }
+
+    /// The longer side, pixels.
+    pub fn extent_px(&self) -> f64 {
+        self.width().max(self.height())
     }
 
     /// Area, square pixels.
@@ -75,7 +87,7 @@ impl Rect {
     /// The box grown on every side by a share of its longer side.
     #[must_use]
     pub fn grown(&self, share: f64) -> Self {
-        let margin = share * self.width().max(self.height());
+        let margin = share * self.extent_px();
         Self { x0: self.x0 - margin, y0: self.y0 - margin, x1: self.x1 + margin, y1: self.y1 + margin }
     }
 

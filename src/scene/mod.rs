@@ -37,8 +37,7 @@ pub use reconstruction::{
 };
 pub use scale_method::{MethodInfo, ScaleMethod};
 pub use tracked::{
-    DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, ObjectImage, Outline, TrackedObject,
-    UnmergedTrack,
+    DetectionCounts, Gap, IdentityEvidence, Movement, MovementFinding, Outline, TrackedObject, UnmergedTrack,
 };
 pub use trajectory::{
     BodyCenter, CameraPathRatio, ModelState, ObjectPose, ObjectTrajectory, Ratios, Reference, References,

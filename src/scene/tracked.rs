@@ -2,7 +2,6 @@
 
 use std::fmt;
 
-use nalgebra::Point2;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -166,27 +165,6 @@ pub struct UnmergedTrack {
     pub evidence: IdentityEvidence,
     /// Why they are kept apart, in words.
     pub reason: String,
-}
-
-/// Image of an object as a whole: the box round what is seen of it, pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ObjectImage {
-    /// Its upper left corner.
-    pub least: Point2<f64>,
-    /// Its lower right corner.
-    pub most: Point2<f64>,
-}
-
-impl ObjectImage {
-    /// The middle of the box.
-    pub fn middle(&self) -> Point2<f64> {
-        nalgebra::center(&self.least, &self.most)
-    }
-
-    /// The longer side of the box.
-    pub fn extent_px(&self) -> f64 {
-        (self.most - self.least).max()
-    }
 }
 
 /// An object that was followed through the frames.

@@ -14,11 +14,11 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
 
 use crate::camera::Camera;
 use crate::math::{Rigid3, median};
-use crate::scene::{FrameId, GroundPlane, ObjectImage, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Reconstruction, Rect};
 
 /// Distance to either side over which the direction of the path is taken, lengths of the vehicle: positions are wrong
 /// by a tenth of one.
@@ -29,8 +29,7 @@ const DEPTH_OVER_HEIGHT: f64 = 2.0;
 /// Poses of the cameras in the frame of an object that stands on the ground: origin below its middle, x forward, y to
 /// the left, z up, in units of the background.
 ///
-/// A vehicle that moves by less than two of its lengths keeps one direction, whichever; one that backs up is taken to
-/// turn nowhere.
+/// A vehicle that moves by less than one of its lengths keeps one arbitrary direction; one that backs up does not turn.
 ///
 /// * `planes` – the ground below the object, in the background's frame.
 /// * `boxes` – the object in the images, parts that are hidden included.
@@ -40,43 +39,48 @@ const DEPTH_OVER_HEIGHT: f64 = 2.0;
 pub fn ground_constrained_poses(
     background: &Reconstruction,
     planes: &BTreeMap<FrameId, GroundPlane>,
-    boxes: &BTreeMap<FrameId, ObjectImage>,
+    boxes: &BTreeMap<FrameId, Rect>,
 ) -> BTreeMap<FrameId, Rigid3> {
     let cameras = background.images.iter().map(|(id, image)| (id.frame(), image));
-    let lines: Vec<LineOfSight> = cameras
+    let (lines, rough): (Vec<LineOfSight>, Vec<ObjectPosition>) = cameras
         .filter_map(|(frame, image)| {
             let (plane, bounds) = (planes.get(&frame)?, boxes.get(&frame)?);
             let camera = background.camera_of(image);
-            let foot = foot_of(bounds, camera, &(image.cam_from_world.rotation * plane.normal));
-            Some(LineOfSight {
+            let ray = ray_to_ground(bounds, camera, &(image.cam_from_world.rotation * plane.normal));
+            let line = LineOfSight {
                 frame,
                 cam_from_world: image.cam_from_world,
-                ray: image.cam_from_world.rotation.inverse() * foot,
+                ray: image.cam_from_world.rotation.inverse() * ray,
                 plane: *plane,
                 angle: bounds.extent_px() / camera.mean_focal(),
-            })
+            };
+            let position = line.position_on(&line.plane)?;
+            Some((line, position))
         })
-        .filter(|line| line.place_on(&line.plane).is_some())
-        .collect();
-    let rough: Vec<ObjectPosition> = lines.iter().filter_map(|line| line.place_on(&line.plane)).collect();
-    let Some(length) = median(rough.iter().map(|place| place.length).collect()) else { return BTreeMap::new() };
+        .unzip();
+    let Some(length) = median(rough.iter().map(|position| position.length).collect()) else { return BTreeMap::new() };
     let step = STEP * length;
-    let places: Vec<ObjectPosition> =
-        (0..lines.len()).map(|k| lines[k].place_on(&plane_near(&lines, &rough, k, step)).unwrap_or(rough[k])).collect();
-    let forward = directions(&places, step);
-    places.iter().zip(forward).map(|(place, forward)| (place.frame, place.cam_from_object(&forward))).collect()
+    let positions: Vec<ObjectPosition> = (0..lines.len())
+        .map(|k| lines[k].position_on(&plane_near(&lines, &rough, k, step)).unwrap_or(rough[k]))
+        .collect();
+    let forward = directions(&positions, step);
+    positions
+        .iter()
+        .zip(forward)
+        .map(|(position, forward)| (position.frame, position.cam_from_object(&forward)))
+        .collect()
 }
 
 /// The ray, in camera coordinates, to the point of the ground below the middle of an object.
 ///
 /// Of a box of height H and depth D, which is seen from an angle φ above the ground, the middle of the image shows the
 /// middle, and from there to the edge it is (H cos φ + D sin φ) / 2 down, of which H cos φ / 2 to the ground.
-fn foot_of(bounds: &ObjectImage, camera: &Camera, up_in_cam: &Vector3<f64>) -> Vector3<f64> {
-    let middle = camera.ray_from_pixel(bounds.middle());
+fn ray_to_ground(bounds: &Rect, camera: &Camera, up_in_cam: &Vector3<f64>) -> Vector3<f64> {
+    let middle = camera.ray_from_pixel(bounds.center().into());
     let sin = -up_in_cam.dot(&middle);
     let across = -(up_in_cam + middle * sin);
     let (cos, Some(down)) = (across.norm(), across.try_normalize(1e-9)) else { return middle };
-    let half = 0.5 * (bounds.most - bounds.least);
+    let half = 0.5 * Vector2::new(bounds.width(), bounds.height());
     let edge_px = down.xy().abs().dot(&half);
     let share = cos / (cos + DEPTH_OVER_HEIGHT * sin.max(0.0));
     middle + down * (share * edge_px / camera.mean_focal())
@@ -95,17 +99,17 @@ struct LineOfSight {
 
 impl LineOfSight {
     /// Its intersection with a plane; `None` unless that is before the camera.
-    fn place_on(&self, plane: &GroundPlane) -> Option<ObjectPosition> {
+    fn position_on(&self, plane: &GroundPlane) -> Option<ObjectPosition> {
         let center = self.cam_from_world.center();
         let reach = -plane.signed_distance(center) / plane.normal.dot(&self.ray);
-        let foot = center + self.ray * reach;
-        let depth = (self.cam_from_world * foot).z;
+        let ground_point = center + self.ray * reach;
+        let depth = (self.cam_from_world * ground_point).z;
         let length = self.angle * depth;
         let is_usable = reach > 0.0 && depth > 0.0 && length > 0.0 && (reach + length).is_finite();
         is_usable.then_some(ObjectPosition {
             frame: self.frame,
             cam_from_world: self.cam_from_world,
-            foot,
+            ground_point,
             up: plane.normal,
             length,
         })
@@ -113,14 +117,14 @@ impl LineOfSight {
 }
 
 /// The plane of the ground at a position: the median of those round it, since single ones may be wrong.
-fn plane_near(lines: &[LineOfSight], places: &[ObjectPosition], k: usize, step: f64) -> GroundPlane {
-    let [before, after] = neighbors(places, k, step);
+fn plane_near(lines: &[LineOfSight], positions: &[ObjectPosition], k: usize, step: f64) -> GroundPlane {
+    let [before, after] = neighbors(positions, k, step);
     let near = || lines[before..=after].iter().map(|line| &line.plane);
     let middle = |of: &dyn Fn(&GroundPlane) -> f64| median(near().map(of).collect()).unwrap_or_default();
     let normal = Vector3::from_fn(|axis, _| middle(&|plane| plane.normal[axis])).normalize();
-    let foot = places[k].foot;
-    let height = middle(&|plane| plane.signed_distance(foot));
-    GroundPlane { normal, point: foot - normal * height, ..lines[k].plane }
+    let ground_point = positions[k].ground_point;
+    let height = middle(&|plane| plane.signed_distance(ground_point));
+    GroundPlane { normal, point: ground_point - normal * height, ..lines[k].plane }
 }
 
 /// Where the object is in a frame.
@@ -128,7 +132,7 @@ fn plane_near(lines: &[LineOfSight], places: &[ObjectPosition], k: usize, step: 
 struct ObjectPosition {
     frame: FrameId,
     cam_from_world: Rigid3,
-    foot: Point3<f64>,
+    ground_point: Point3<f64>,
     up: Vector3<f64>,
     /// Apparent length, in units of the background.
     length: f64,
@@ -139,18 +143,18 @@ impl ObjectPosition {
         let left = self.up.cross(forward).normalize();
         let axes = Matrix3::from_columns(&[left.cross(&self.up), left, self.up]);
         let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-        self.cam_from_world * Rigid3::new(rotation, self.foot.coords)
+        self.cam_from_world * Rigid3::new(rotation, self.ground_point.coords)
     }
 }
 
-/// Where the object points at every place: along the chord of `step` round it, as before or as next where it hardly
-/// moves, and anywhere, but always there, where it does not move at all.
-fn directions(places: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
-    let mut found: Vec<Option<Vector3<f64>>> = (0..places.len()).map(|k| direction(places, k, step)).collect();
+/// Directions of the object: those of its path, the last or the next one where it hardly moves, and one arbitrary
+/// direction where it does not move at all.
+fn directions(positions: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
+    let mut found: Vec<Option<Vector3<f64>>> = (0..positions.len()).map(|k| direction(positions, k, step)).collect();
     let first = found.iter().position(Option::is_some);
     let mut last = match first {
         Some(first) => found[first],
-        None => places.first().map(|place| any_across(&place.up)),
+        None => positions.first().map(|position| any_across(&position.up)),
     };
     for direction in &mut found {
         // It does not turn round from one frame to the next, but backs up.
@@ -161,24 +165,25 @@ fn directions(places: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
     found.into_iter().flatten().collect()
 }
 
-/// The direction of the path at a place: that of the parabola through it and its neighbors, which may lie at unequal
+/// The direction of the path at a position: that of the parabola through it and its neighbors, which may lie at unequal
 /// distances. `None` where the object hardly moves.
-fn direction(places: &[ObjectPosition], k: usize, step: f64) -> Option<Vector3<f64>> {
-    let [before, after] = neighbors(places, k, step).map(|other| places[other].foot - places[k].foot);
+fn direction(positions: &[ObjectPosition], k: usize, step: f64) -> Option<Vector3<f64>> {
+    let [before, after] =
+        neighbors(positions, k, step).map(|other| positions[other].ground_point - positions[k].ground_point);
     let (a, b) = (before.norm(), after.norm());
     let along = match (a >= step, b >= step) {
         (true, true) => after * (a / b) - before * (b / a),
         (false, false) => return None,
         _ => after - before,
     };
-    (along - places[k].up * places[k].up.dot(&along)).try_normalize(0.0)
+    (along - positions[k].up * positions[k].up.dot(&along)).try_normalize(0.0)
 }
 
-/// The last place before and the first one after a place that are a step away from it, or those at the ends.
-fn neighbors(places: &[ObjectPosition], k: usize, step: f64) -> [usize; 2] {
-    let is_away = |other: &usize| (places[*other].foot - places[k].foot).norm() >= step;
+/// The last position before and the first one after a position that are a step away from it, or those at the ends.
+fn neighbors(positions: &[ObjectPosition], k: usize, step: f64) -> [usize; 2] {
+    let is_away = |other: &usize| (positions[*other].ground_point - positions[k].ground_point).norm() >= step;
     let before = (0..k).rev().find(is_away).unwrap_or(0);
-    [before, (k + 1..places.len()).find(is_away).unwrap_or(places.len() - 1)]
+    [before, (k + 1..positions.len()).find(is_away).unwrap_or(positions.len() - 1)]
 }
 
 fn any_across(normal: &Vector3<f64>) -> Vector3<f64> {
@@ -191,15 +196,11 @@ mod tests {
     use super::*;
     use crate::scene::Image;
     use crate::synthetic::drive::{Drive, Noise, Options, Route, Terrain, drive};
-    use nalgebra::Point2;
 
-    fn sights(world: &Drive) -> BTreeMap<FrameId, ObjectImage> {
-        let sight = |image: &Image| {
-            let seen = |axis: usize| image.observations.iter().map(move |o| o.pixel[axis]);
-            let ends = [0, 1].map(|axis| (seen(axis).fold(f64::MAX, f64::min), seen(axis).fold(f64::MIN, f64::max)));
-            ObjectImage { least: Point2::from(ends.map(|ends| ends.0)), most: Point2::from(ends.map(|ends| ends.1)) }
-        };
-        world.object.images.iter().map(|(id, image)| (id.frame(), sight(image))).collect()
+    fn boxes(world: &Drive) -> BTreeMap<FrameId, Rect> {
+        let bounds = |image: &Image| Rect::around(image.observations.iter().map(|seen| &seen.pixel));
+        let images = world.object.images.iter();
+        images.filter_map(|(id, image)| Some((id.frame(), bounds(image)?))).collect()
     }
 
     /// Turns from the true pose of each camera to the one found, but for the turn that all have in common.
@@ -221,7 +222,7 @@ mod tests {
                 let options =
                     Options { route, terrain, distance_m: [120.0, 150.0], camera_height_m: 60.0, ..Options::default() };
                 let world = drive(&options, 3);
-                let found = ground_constrained_poses(&world.background, &world.planes, &sights(&world));
+                let found = ground_constrained_poses(&world.background, &world.planes, &boxes(&world));
                 assert_eq!(found.len(), 60);
                 let turns = turns(&world, &found);
                 // At the ends the path leads on in one direction only.
@@ -251,7 +252,7 @@ mod tests {
             let options =
                 Options { camera_height_m, camera_climb_m: 0.0, distance_m: [22.0, 30.0], ..Options::default() };
             let world = drive(&options, 3);
-            let found = ground_constrained_poses(&world.background, &world.planes, &sights(&world));
+            let found = ground_constrained_poses(&world.background, &world.planes, &boxes(&world));
             assert_eq!(found.len(), 60);
             let errors = position_errors(&world, &found);
             assert!(errors.iter().all(|error| *error < 0.15), "{camera_height_m} m: {errors:?}");
@@ -263,7 +264,7 @@ mod tests {
         let noise = Noise { bad_planes: 0.2, ..Noise::default() };
         let [world, noisy] = [Noise::default(), noise].map(|noise| drive(&Options { noise, ..Options::default() }, 3));
         let [exact, found] =
-            [&world, &noisy].map(|world| ground_constrained_poses(&world.background, &world.planes, &sights(world)));
+            [&world, &noisy].map(|world| ground_constrained_poses(&world.background, &world.planes, &boxes(world)));
         assert_eq!(found.len(), 60);
         let far = exact.iter().filter(|(frame, exact)| {
             let moved = (found[frame].center() - exact.center()).norm();
@@ -276,7 +277,7 @@ mod tests {
     #[test]
     fn a_vehicle_that_stands_keeps_its_direction() {
         let world = drive(&Options { speed_m_s: 0.0, ..Options::default() }, 3);
-        let found = ground_constrained_poses(&world.background, &world.planes, &sights(&world));
+        let found = ground_constrained_poses(&world.background, &world.planes, &boxes(&world));
         assert_eq!(found.len(), 60);
         assert!(turns(&world, &found).iter().all(|turn| *turn < 0.5));
     }
@@ -284,7 +285,7 @@ mod tests {
     #[test]
     fn what_is_not_known_has_no_pose() {
         let mut world = drive(&Options { num_frames: 8, ..Options::default() }, 3);
-        let all = sights(&world);
+        let all = boxes(&world);
         assert!(ground_constrained_poses(&world.background, &world.planes, &BTreeMap::new()).is_empty());
         world.planes.pop_first();
         assert_eq!(ground_constrained_poses(&world.background, &world.planes, &all).len(), 7);

@@ -18,7 +18,7 @@ use crate::geometry::resection::{self, PixelsAndPoints};
 use crate::ground::{DominantPlane, HoveringGround};
 use crate::mapper::RotatingCamera;
 use crate::math::Rigid3;
-use crate::scene::{FrameId, ObjectImage, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+use crate::scene::{FrameId, Observation, Point3d, Point3dId, Reconstruction, Rect, TrackElement};
 
 /// The views that a map is made of, with their tracks.
 pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
@@ -54,11 +54,11 @@ pub(super) fn completed(known: &[Option<Rigid3>], rotations: &RotatingCamera) ->
 /// Returns true if a vehicle leaves its place: the ray to it turns by more than its extent.
 ///
 /// * `poses` – rotations of the camera.
-pub(super) fn moves(seen: &BTreeMap<FrameId, ObjectImage>, poses: &Reconstruction) -> bool {
-    let ray = |(frame, seen): (&FrameId, &ObjectImage)| {
+pub(super) fn moves(seen: &BTreeMap<FrameId, Rect>, poses: &Reconstruction) -> bool {
+    let ray = |(frame, seen): (&FrameId, &Rect)| {
         let image = poses.images.get(&(*frame).into())?;
         let camera = poses.camera_of(image);
-        let ray = image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(seen.middle());
+        let ray = image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(seen.center().into());
         Some((ray, seen.extent_px() / camera.mean_focal()))
     };
     let ends = seen.iter().find_map(ray).zip(seen.iter().rev().find_map(ray));

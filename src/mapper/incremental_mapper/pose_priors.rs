@@ -36,7 +36,7 @@ impl IncrementalMapper<'_> {
         for _ in 0..ROUNDS {
             self.map.triangulate_all(&wide);
             self.map.update_observations(&wide);
-            // Free to turn, cameras that saw points only roughly would turn as these ask for.
+            // Cameras that are free to turn would follow points that were triangulated from rough poses (bas-relief).
             self.adjust(&Scope::Positions, Freedom::Nothing)?;
             wide.max_error_px = limits.max_error_px.max(0.5 * wide.max_error_px);
         }

@@ -4,17 +4,20 @@ use super::*;
 use crate::features::tracks::View;
 use crate::synthetic::drive::{self, Drive};
 
-/// A vehicle of 25 to 30 pixels, seen from 150 m away.
-fn far(seed: u64) -> Drive {
-    let options = drive::Options {
+fn far_options() -> drive::Options {
+    drive::Options {
         camera_height_m: 70.0,
         distance_m: [150.0, 160.0],
         num_object_points: 80,
         num_ground_points: 50,
         num_other_points: 0,
         ..drive::Options::default()
-    };
-    drive::drive(&options, seed)
+    }
+}
+
+/// A vehicle of 25 to 30 pixels, seen from 150 m away.
+fn far(seed: u64) -> Drive {
+    drive::drive(&far_options(), seed)
 }
 
 /// Its tracks, of `length` frames at most, with the noise of a compressed video.
@@ -101,15 +104,8 @@ fn rough_poses_take_chance_out_of_a_far_vehicle() {
 #[test]
 fn positions_that_differ_from_view_to_view_do_not_turn_the_cameras() {
     for seed in 0..6 {
-        let options = drive::Options {
-            camera_height_m: 30.0,
-            distance_m: [60.0, 60.0],
-            num_frames: 30,
-            num_object_points: 80,
-            num_ground_points: 50,
-            num_other_points: 0,
-            ..drive::Options::default()
-        };
+        let (camera_height_m, distance_m) = (30.0, [60.0, 60.0]);
+        let options = drive::Options { camera_height_m, distance_m, num_frames: 30, ..far_options() };
         let world = drive::drive(&options, seed);
         // Short tracks leave it to the poses how far the cameras turn.
         let table = tracks_lasting(&world, seed, 5);

@@ -7,11 +7,11 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Point2, Vector2};
+use nalgebra::Vector2;
 
 use crate::features::tracks::{TrackTable, View};
 use crate::math::{median, quantile};
-use crate::scene::{FrameId, ObjectImage};
+use crate::scene::{FrameId, Rect};
 
 /// Fewest features that show an object's position or motion.
 const MIN_FEATURES: usize = 5;
@@ -24,14 +24,13 @@ const MIN_VIEWS: usize = 5;
 /// The box round the features of a view, and their motion since the view before, pixels.
 struct VisibleBox {
     frame: FrameId,
-    least: Vector2<f64>,
-    most: Vector2<f64>,
+    bounds: Rect,
     /// `None` where too few features of the view before are left.
     motion: Option<Vector2<f64>>,
 }
 
 /// Boxes of the object in the frames that show enough of it.
-pub(super) fn object_boxes(table: &TrackTable) -> BTreeMap<FrameId, ObjectImage> {
+pub(super) fn object_boxes(table: &TrackTable) -> BTreeMap<FrameId, Rect> {
     let visible = table.views.iter().zip(motions(table)).filter_map(|(view, motion)| VisibleBox::of(view, motion));
     let visible: Vec<VisibleBox> = visible.collect();
     let reach = median(table.tracks.iter().map(|track| track.len() as f64).collect()).unwrap_or(0.0) as usize;
@@ -44,7 +43,7 @@ pub(super) fn object_boxes(table: &TrackTable) -> BTreeMap<FrameId, ObjectImage>
 /// The boxes of consecutive views, hidden parts included.
 ///
 /// * `reach` – number of views before and after a view in which the object looks much the same.
-fn complete(stretch: &[VisibleBox], reach: usize) -> Vec<(FrameId, ObjectImage)> {
+fn complete(stretch: &[VisibleBox], reach: usize) -> Vec<(FrameId, Rect)> {
     let motion = |k: usize| stretch[k].motion.filter(|_| k > 0).unwrap_or_default();
     let path: Vec<Vector2<f64>> = (0..stretch.len())
         .scan(Vector2::zeros(), |at, k| {
@@ -54,25 +53,22 @@ fn complete(stretch: &[VisibleBox], reach: usize) -> Vec<(FrameId, ObjectImage)>
         .collect();
     let complete = |k: usize| {
         let near = k.saturating_sub(reach)..(k + reach + 1).min(stretch.len());
-        let side = |share: f64, side: &dyn Fn(&VisibleBox) -> Vector2<f64>| {
-            Point2::from(Vector2::from_fn(|axis, _| {
-                let mut offsets: Vec<f64> = near.clone().map(|i| side(&stretch[i])[axis] - path[i][axis]).collect();
-                path[k][axis] + quantile(&mut offsets, share).unwrap_or_default()
-            }))
+        let side = |axis: usize, share: f64, side: fn(&Rect) -> f64| {
+            let mut offsets: Vec<f64> = near.clone().map(|i| side(&stretch[i].bounds) - path[i][axis]).collect();
+            path[k][axis] + quantile(&mut offsets, share).unwrap_or_default()
         };
-        let least = side(VISIBLE_SHARE, &|visible| visible.least);
-        let most = side(1.0 - VISIBLE_SHARE, &|visible| visible.most);
-        (stretch[k].frame, ObjectImage { least, most })
+        let (least, most) = (VISIBLE_SHARE, 1.0 - VISIBLE_SHARE);
+        let [x0, y0] = [side(0, least, |bounds| bounds.x0), side(1, least, |bounds| bounds.y0)];
+        let [x1, y1] = [side(0, most, |bounds| bounds.x1), side(1, most, |bounds| bounds.y1)];
+        (stretch[k].frame, Rect { x0, y0, x1, y1 })
     };
     (0..stretch.len()).map(complete).collect()
 }
 
 impl VisibleBox {
     fn of(view: &View, motion: Option<Vector2<f64>>) -> Option<Self> {
-        let along = |axis: usize| view.pixels.iter().map(move |pixel| pixel[axis]);
-        let least = Vector2::from_fn(|axis, _| along(axis).fold(f64::INFINITY, f64::min));
-        let most = Vector2::from_fn(|axis, _| along(axis).fold(f64::NEG_INFINITY, f64::max));
-        (view.pixels.len() >= MIN_FEATURES).then_some(Self { frame: view.image.frame(), least, most, motion })
+        let bounds = Rect::around(&view.pixels).filter(|_| view.pixels.len() >= MIN_FEATURES)?;
+        Some(Self { frame: view.image.frame(), bounds, motion })
     }
 }
 
@@ -96,6 +92,7 @@ fn motions(table: &TrackTable) -> Vec<Option<Vector2<f64>>> {
 mod tests {
     use super::*;
     use crate::features::tracks::Feature;
+    use nalgebra::Point2;
 
     const LENGTH: f64 = 80.0;
     const HEIGHT: f64 = 40.0;
@@ -135,11 +132,11 @@ mod tests {
         TrackTable { views, tracks }
     }
 
-    fn max_error(found: &BTreeMap<FrameId, ObjectImage>) -> f64 {
-        let error = |(frame, found): (&FrameId, &ObjectImage)| {
+    fn max_error(found: &BTreeMap<FrameId, Rect>) -> f64 {
+        let error = |(frame, found): (&FrameId, &Rect)| {
             let corner = corner(frame.0 as usize);
-            let [least, most] = [found.least.coords - corner, found.most.coords - corner];
-            least.amax().max((most - Vector2::new(LENGTH, HEIGHT)).amax())
+            let [least, most] = [Vector2::new(found.x0, found.y0), Vector2::new(found.x1, found.y1)];
+            (least - corner).amax().max((most - corner - Vector2::new(LENGTH, HEIGHT)).amax())
         };
         found.iter().map(error).fold(0.0, f64::max)
     }
