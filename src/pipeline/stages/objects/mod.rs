@@ -312,8 +312,8 @@ fn check_silhouettes(
 /// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
 /// would end at them.
 fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
-    // Three leave four poses, and of four or five it cannot be determined which one is wrong.
-    const HOLD_A_POSE: usize = 6;
+    // The least that determine one, next to the pose that it starts from; the adjustment with the ground does the rest.
+    const HOLD_A_POSE: usize = 3;
     let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
     let bare: Vec<ImageId> =
         model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();
@@ -352,4 +352,25 @@ fn vote(
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::synthetic::drive::{Options, drive};
+
+    #[test]
+    fn views_of_three_points_stay_and_those_of_two_go() {
+        let mut model = drive(&Options { num_frames: 8, ..Options::default() }, 1).object;
+        let ids: Vec<ImageId> = model.images.keys().copied().collect();
+        for (image, num_points) in model.images.values_mut().zip([3, 2]) {
+            let seen = image.observations.iter_mut().filter(|seen| seen.point.is_some());
+            seen.skip(num_points).for_each(|seen| seen.point = None);
+        }
+        let mut report = ModelReport::default();
+        drop_bare_views(&mut model, &mut report);
+        assert!(model.images.contains_key(&ids[0]) && !model.images.contains_key(&ids[1]));
+        assert_eq!(report.num_registered, 7);
+        assert_eq!(report.unregistered.keys().copied().collect::<Vec<_>>(), [ids[1].frame()]);
+    }
 }
