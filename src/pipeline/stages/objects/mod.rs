@@ -312,7 +312,7 @@ fn check_silhouettes(
 /// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
 /// would end at them.
 fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
-    // The least that determine one, next to the pose that it starts from; the adjustment with the ground does the rest.
+    // Three points determine a pose, given one to start from.
     const HOLD_A_POSE: usize = 3;
     let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
     let bare: Vec<ImageId> =
