@@ -93,40 +93,39 @@ impl Model {
 
     /// Returns true if the model describes images that a pinhole with radial and tangential distortion cannot.
     pub fn is_foreign(self) -> bool {
-        !matches!(
-            self,
-            Self::SimplePinhole | Self::Pinhole | Self::SimpleRadial | Self::Radial | Self::OpenCv | Self::FullOpenCv
-        )
+        self.places().is_none()
+    }
+
+    /// For each parameter that [`Camera`] covers, its place among [`Camera::parameters`]; one focal length is fx.
+    fn places(self) -> Option<&'static [usize]> {
+        Some(match self {
+            Self::SimplePinhole => &[0, 2, 3],
+            Self::Pinhole => &[0, 1, 2, 3],
+            Self::SimpleRadial => &[0, 2, 3, 4],
+            Self::Radial => &[0, 2, 3, 4, 5],
+            Self::OpenCv => &[0, 1, 2, 3, 4, 5, 6, 7],
+            Self::FullOpenCv => &[0, 1, 2, 3, 4, 5, 6, 7, 8],
+            _ => return None,
+        })
     }
 
     /// The camera that parameters describe; `None` if their number is wrong or [`Camera`] does not cover them.
     pub fn camera(self, width: u32, height: u32, params: &[f64]) -> Option<Camera> {
-        let all = match (self, params) {
-            (Self::SimplePinhole, &[f, cx, cy]) => [f, f, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
-            (Self::Pinhole, &[fx, fy, cx, cy]) => [fx, fy, cx, cy, 0.0, 0.0, 0.0, 0.0, 0.0],
-            (Self::SimpleRadial, &[f, cx, cy, k]) => [f, f, cx, cy, k, 0.0, 0.0, 0.0, 0.0],
-            (Self::Radial, &[f, cx, cy, k1, k2]) => [f, f, cx, cy, k1, k2, 0.0, 0.0, 0.0],
-            (Self::OpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2]) => [fx, fy, cx, cy, k1, k2, p1, p2, 0.0],
-            (Self::FullOpenCv, &[fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0]) => {
-                [fx, fy, cx, cy, k1, k2, p1, p2, k3]
-            }
-            _ => return None,
-        };
-        Camera::prior(width, height).with_parameters(&all)
+        let places = self.places().filter(|_| params.len() == self.num_params())?;
+        let (covered, others) = params.split_at(places.len());
+        let mut all = [0.0; 9];
+        covered.iter().zip(places).for_each(|(value, place)| all[*place] = *value);
+        if !places.contains(&1) {
+            all[1] = all[0];
+        }
+        Camera::prior(width, height).with_parameters(&all).filter(|_| others.iter().all(|value| *value == 0.0))
     }
 
     /// The parameters of a camera in this model; `None` if it has no place for one of them.
     pub fn params_of(self, camera: &Camera) -> Option<Vec<f64>> {
-        let all @ [fx, fy, cx, cy, k1, k2, p1, p2, k3] = camera.parameters();
-        let params = match self {
-            Self::SimplePinhole => vec![fx, cx, cy],
-            Self::Pinhole => vec![fx, fy, cx, cy],
-            Self::SimpleRadial => vec![fx, cx, cy, k1],
-            Self::Radial => vec![fx, cx, cy, k1, k2],
-            Self::OpenCv => vec![fx, fy, cx, cy, k1, k2, p1, p2],
-            Self::FullOpenCv => vec![fx, fy, cx, cy, k1, k2, p1, p2, k3, 0.0, 0.0, 0.0],
-            _ => return None,
-        };
+        let all = camera.parameters();
+        let mut params: Vec<f64> = self.places()?.iter().map(|place| all[*place]).collect();
+        params.resize(self.num_params(), 0.0);
         let back = self.camera(camera.width, camera.height, &params)?;
         // Numbers that are not finite come back as they are, too, and are refused by who writes them.
         let same = back.parameters().iter().zip(&all).all(|(a, b)| a == b || (a.is_nan() && b.is_nan()));

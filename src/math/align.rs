@@ -1,8 +1,15 @@
-//! Least-squares similarity between two point sets.
+//! Least-squares similarity between two point sets; directions across another.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::{Sim3, svd3};
+
+/// Two unit directions across a unit vector and one another.
+pub fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let side = if direction.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
+    let first = direction.cross(&side).normalize();
+    [first, direction.cross(&first)]
+}
 
 /// The similarity `target_from_source` that minimises the summed squared distance over pairs.
 ///

@@ -2,7 +2,7 @@
 //!
 //! Normalised direct linear transforms (Hartley, Zisserman, *Multiple View Geometry*, algorithms 4.2 and 11.1).
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector2};
+use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
 use super::{svd3, symmetric_eigen};
 
@@ -18,32 +18,38 @@ pub fn homography_from_points(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Opt
             [0.0, 0.0, 0.0, -p.x, -p.y, -1.0, q.y * p.x, q.y * p.y, q.y].into(),
         ]
     });
-    unit(b.try_inverse()? * null_matrix(rows)? * a)
+    let [homography] = null_matrices(rows)?;
+    unit(b.try_inverse()? * homography * a)
 }
 
 /// The fundamental matrix with `(b, 1)ᵀ F (a, 1) = 0` in the least-squares sense, of rank two; `None` for fewer than
 /// eight pairs or degenerate ones, as all points of a plane are.
 pub fn fundamental_from_points(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Option<Matrix3<f64>> {
     let (a, b) = normalizations(from, to, 8)?;
-    let rows = from.iter().zip(to).map(|(p, q)| {
-        let (p, q) = (apply(&a, p).push(1.0), apply(&b, q).push(1.0));
-        Row::from_fn(|i, _| q[i / 3] * p[i % 3])
-    });
-    let mut svd = svd3(null_matrix(rows)?)?;
+    let rows = from.iter().zip(to).map(|(p, q)| epipolar_row(&apply(&a, p).push(1.0), &apply(&b, q).push(1.0)));
+    let [fundamental] = null_matrices(rows)?;
+    let mut svd = svd3(fundamental)?;
     let smallest = svd.singular_values.imin();
     svd.singular_values[smallest] = 0.0;
     unit(b.transpose() * svd.recompose().ok()? * a)
 }
 
-/// The matrix, row by row, that the rows are nearest to being orthogonal to; `None` if two are equally near.
-fn null_matrix(rows: impl Iterator<Item = Row>) -> Option<Matrix3<f64>> {
+/// The N matrices, row by row, that rows of nine are nearest to being orthogonal to, the nearest first; `None` if one
+/// more is equally near.
+pub(crate) fn null_matrices<const N: usize>(rows: impl Iterator<Item = Row>) -> Option<[Matrix3<f64>; N]> {
     let gram = rows.fold(SMatrix::<f64, 9, 9>::zeros(), |gram, row| gram + row * row.transpose());
     let eigen = symmetric_eigen(gram)?;
     let mut order: [usize; 9] = std::array::from_fn(|i| i);
     order.sort_by(|&i, &j| eigen.eigenvalues[i].total_cmp(&eigen.eigenvalues[j]));
-    // A second vanishing eigenvalue: points on a line leave a family of solutions.
-    let is_one = eigen.eigenvalues[order[1]] > 1e-12 * eigen.eigenvalues[order[8]];
-    is_one.then(|| Matrix3::from_fn(|i, j| eigen.eigenvectors[(3 * i + j, order[0])]))
+    // One more vanishing eigenvalue: as of points on a line, which leave a family of solutions.
+    let is_all = eigen.eigenvalues[order[N]] > 1e-12 * eigen.eigenvalues[order[8]];
+    let matrix = |k: usize| Matrix3::from_fn(|i, j| eigen.eigenvectors[(3 * i + j, order[k])]);
+    is_all.then(|| std::array::from_fn(matrix))
+}
+
+/// Coefficients of the nine elements of F in `secondᵀ F first`.
+pub(crate) fn epipolar_row(first: &Vector3<f64>, second: &Vector3<f64>) -> Row {
+    Row::from_fn(|i, _| second[i / 3] * first[i % 3])
 }
 
 fn unit(matrix: Matrix3<f64>) -> Option<Matrix3<f64>> {

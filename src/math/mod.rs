@@ -14,8 +14,10 @@ mod sim3;
 mod statistics;
 mod wxyz;
 
-pub use align::umeyama;
+pub use align::{across, umeyama};
 pub use decomposition::{svd3, symmetric_eigen};
+#[cfg(feature = "sfm")]
+pub(crate) use direct_linear::{epipolar_row, null_matrices};
 pub use direct_linear::{fundamental_from_points, homography_from_points};
 pub(crate) use neighbors::Neighbors;
 pub use parallax::widest_angle;
@@ -24,6 +26,6 @@ pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;
 pub use sim3::Sim3;
 pub use statistics::{
-    RAYLEIGH_MEDIAN, STD_PER_MAD, at_least, lower_quantile, median, quantile, student_4, upper_median,
+    RAYLEIGH_MEDIAN, STD_PER_MAD, at_least, bin, lower_quantile, median, quantile, student_4, upper_median,
 };
 pub(crate) use wxyz::MAX_UNIT_ERROR;

@@ -32,6 +32,11 @@ pub fn lower_quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
+/// Index of the interval, of `count` equal ones from 0 to 1, in which a value lies; the first or the last beyond.
+pub fn bin(value: f64, count: usize) -> usize {
+    ((value * count as f64) as usize).min(count - 1)
+}
+
 /// Density of Student's distribution with four degrees of freedom: that of an error over a standard deviation which is
 /// itself known from five groups.
 pub fn student_4(x: f64) -> f64 {

@@ -3,7 +3,7 @@
 use nalgebra::{Point3, Vector3};
 
 use super::View;
-use crate::math::{Neighbors, Rigid3, upper_median};
+use crate::math::{Neighbors, Rigid3, across, upper_median};
 
 /// The ground of a background: a plane through all of it, and points that say how far the ground is off it near them.
 pub struct GroundModel {
@@ -25,9 +25,7 @@ impl GroundModel {
     /// if the normal has no length.
     pub fn new(normal: Vector3<f64>, point: Point3<f64>, ground_points: &[Point3<f64>]) -> Option<Self> {
         let normal = normal.try_normalize(1e-12).filter(|n| n.iter().all(|x| x.is_finite()))?;
-        let side = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
-        let first = normal.cross(&side).normalize();
-        let axes = [first, normal.cross(&first)];
+        let axes = across(&normal);
         let finite = ground_points.iter().filter(|p| p.coords.iter().all(|x| x.is_finite()));
         let offsets: Vec<Vector3<f64>> = finite.map(|p| p - point).collect();
         let places: Vec<[f64; 2]> = offsets.iter().map(|o| axes.map(|axis| axis.dot(o))).collect();
@@ -44,12 +42,11 @@ impl GroundModel {
     /// Where the ray through a pixel meets the ground, in the background's frame; `None` for one to the sky or near the
     /// horizon, more than a hundred heights of the camera away.
     pub fn meets(&self, view: &View, pixel: [f64; 2]) -> Option<Point3<f64>> {
-        // There the depth of a pixel is half its distance: it tells nothing.
-        const MOST_HEIGHTS: f64 = 100.0;
         let ray = view.camera.normalized_from_pixel(pixel.into()).push(1.0);
         let inverse_depth = self.inverse_depth(&view.cam_from_world, ray)?;
         let height = self.camera_height(&view.cam_from_world)?;
-        let is_near = inverse_depth * MOST_HEIGHTS * height > 1.0;
+        // Beyond, the depth of a pixel is half its distance: it tells nothing.
+        let is_near = inverse_depth * 100.0 * height > 1.0;
         is_near.then(|| view.cam_from_world.inverse() * Point3::from(ray / inverse_depth))
     }
 

@@ -113,8 +113,7 @@ fn locally_optimized<E: Estimator>(
     max_sq: f64,
 ) -> Consensus<E::Model> {
     // A bound; the loop ends when the score does not improve.
-    const MAX_ROUNDS: usize = 4;
-    for _ in 0..MAX_ROUNDS {
+    for _ in 0..4 {
         if current.inliers.len() <= E::SAMPLE_SIZE {
             break;
         }

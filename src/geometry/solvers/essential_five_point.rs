@@ -4,9 +4,9 @@
 //! of the five epipolar constraints as x X + y Y + z Z + W; the ten cubic constraints `det E = 0` and
 //! `2 E Eᵀ E − tr(E Eᵀ) E = 0` are eliminated to a 3 × 3 matrix of polynomials in z, whose determinant has degree ten.
 
-use nalgebra::{Matrix3, SMatrix, SVector, Vector3};
+use nalgebra::{Matrix3, SMatrix, Vector3};
 
-use crate::math::{polynomial::real_roots, symmetric_eigen};
+use crate::math::{epipolar_row, null_matrices, polynomial::real_roots};
 
 /// Exponents of x, y, z of the twenty monomials up to degree three, in the order of Nistér's elimination.
 const MONOMIALS: [[u8; 3]; 20] = [
@@ -36,7 +36,8 @@ type Constraints = SMatrix<f64, 10, 20>;
 
 /// Essential matrices E with `ray2ᵀ E ray1 = 0` for five pairs of rays (any length): zero to ten, of unit norm.
 pub fn essential_five_point(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Vec<Matrix3<f64>> {
-    let Some(basis) = null_space(rays1, rays2) else { return Vec::new() };
+    let rows = rays1.iter().zip(rays2).map(|(a, b)| epipolar_row(a, b));
+    let Some(basis) = null_matrices(rows) else { return Vec::new() };
     let Some(reduced) = eliminated(constraints(&basis)) else { return Vec::new() };
     let rows: [[[f64; 5]; 3]; 3] = [(4, 5), (6, 7), (8, 9)].map(|(a, b)| polynomial_row(&reduced, a, b));
     real_roots(&determinant(&rows))
@@ -51,23 +52,6 @@ pub fn essential_five_point(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]
             (norm.is_finite() && norm > 0.0).then(|| essential / norm)
         })
         .collect()
-}
-
-/// Four matrices that span the solutions of the five linear constraints.
-fn null_space(rays1: &[Vector3<f64>; 5], rays2: &[Vector3<f64>; 5]) -> Option<[Matrix3<f64>; 4]> {
-    let mut gram = SMatrix::<f64, 9, 9>::zeros();
-    for (a, b) in rays1.iter().zip(rays2) {
-        let row = SVector::<f64, 9>::from_fn(|i, _| b[i / 3] * a[i % 3]);
-        gram += row * row.transpose();
-    }
-    let eigen = symmetric_eigen(gram)?;
-    let mut order: [usize; 9] = std::array::from_fn(|i| i);
-    order.sort_by(|&a, &b| eigen.eigenvalues[a].total_cmp(&eigen.eigenvalues[b]));
-    if !(eigen.eigenvalues[order[4]] > 1e-12 * eigen.eigenvalues[order[8]]) {
-        return None;
-    }
-    let matrix = |k: usize| Matrix3::from_fn(|i, j| eigen.eigenvectors[(3 * i + j, order[k])]);
-    Some([matrix(0), matrix(1), matrix(2), matrix(3)])
 }
 
 /// A polynomial in x, y, z of degree up to three, over [`MONOMIALS`].
