@@ -104,18 +104,9 @@ impl<const D: usize> Coupling<D> {
 
 /// Multiplications that a step takes where the reduced camera system is formed, and factorised within its envelope.
 fn work_of_views<const D: usize>(layout: &Layout) -> f64 {
-    let mut first_row: Vec<usize> = (0..layout.num_blocks()).collect();
-    let mut pairs = 0.0;
-    for point in 0..layout.points.len() {
-        let blocks = &layout.obs_block[layout.obs_of_point(point)];
-        let blocks = &blocks[..blocks.partition_point(|block| *block != NONE)];
-        for block in blocks {
-            let row = &mut first_row[*block as usize];
-            *row = (*row).min(blocks[0] as usize);
-        }
-        pairs += (blocks.len() * (blocks.len() + 1) / 2) as f64;
-    }
-    let widths = first_row.iter().enumerate().map(|(j, first)| ((j + 1 - first) * D) as f64);
+    let pairs_of = |count: usize| (count * (count + 1) / 2) as f64;
+    let pairs: f64 = (0..layout.points.len()).map(|point| pairs_of(layout.blocks_of_point(point).len())).sum();
+    let widths = layout.first_rows().into_iter().enumerate().map(|(j, first)| ((j + 1 - first as usize) * D) as f64);
     let factor: f64 = widths.map(|width| width * width * D as f64 / 2.0).sum();
     pairs * (3 * D * D) as f64 + factor
 }

@@ -6,10 +6,9 @@
 
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
-use super::camera_sums::CAMERA_DIM;
+use super::clustered::Groups;
 use super::covariance::System;
-use super::layout::{IntrinsicsUse, Layout, NONE, POSE_DIM};
-use super::levenberg_marquardt::with_threads;
+use super::layout::{Layout, NONE};
 use super::options::Options;
 use super::problem::{BundleError, Problem};
 
@@ -19,55 +18,24 @@ use super::problem::{BundleError, Problem};
 /// # Errors
 /// As [`super::covariances`].
 pub(super) fn intrinsics_share(problem: &Problem, options: &Options) -> Result<Vec<Matrix3<f64>>, BundleError> {
-    with_threads(options.threads, |parallel| {
-        let layout = Layout::new(problem, options, parallel);
-        match layout.largest_block() {
-            ..=6 => System::<6>::new(problem, options, &layout, parallel)?.intrinsics_share(),
-            7..=9 => System::<9>::new(problem, options, &layout, parallel)?.intrinsics_share(),
-            _ => System::<12>::new(problem, options, &layout, parallel)?.intrinsics_share(),
-        }
-    })?
+    let layout = Layout::new(problem, options, false);
+    let mut system = System::new(problem, options, &layout, false, &Groups::default())?;
+    let rows: Vec<usize> = (0..problem.cameras.len()).filter_map(|k| system.rows_of_camera(k)).flatten().collect();
+    let (columns, own) = system.inverse(&rows);
+    let (size, count) = (system.size, rows.len());
+    let information = own.cholesky().ok_or(BundleError::Singular { pivot: size - count })?.inverse();
+    let mut moved: Vec<Vec<Vector3<f64>>> =
+        (0..count).map(|k| system.moved_centers(&columns[k * size..(k + 1) * size])).collect();
+    let centers: Vec<Point3<f64>> = problem.poses.iter().map(|pose| pose.cam_from_world.center()).collect();
+    moved.iter_mut().for_each(|column| subtract_similarity(&centers, column));
+    let of_pose = |pose: usize| {
+        let by = |r: usize, c: usize| moved[r][pose] * moved[c][pose].transpose() * information[(r, c)];
+        (0..count).flat_map(|r| (0..count).map(move |c| (r, c))).map(|(r, c)| by(r, c)).sum()
+    };
+    Ok((0..centers.len()).map(of_pose).collect())
 }
 
-impl<const D: usize> System<'_, D> {
-    fn intrinsics_share(mut self) -> Result<Vec<Matrix3<f64>>, BundleError> {
-        let places = self.places_of_intrinsics();
-        let (size, count) = (self.reduced.size(), places.len());
-        let mut columns = vec![0.0; size * count];
-        for (k, place) in places.iter().enumerate() {
-            columns[k * size + place] = 1.0;
-        }
-        self.solver.solve_columns(&mut columns);
-        let own = DMatrix::from_fn(count, count, |r, c| {
-            0.5 * (columns[c * size + places[r]] + columns[r * size + places[c]])
-        });
-        let information = own.cholesky().ok_or(BundleError::Singular { pivot: size - count })?.inverse();
-        let mut moved: Vec<Vec<Vector3<f64>>> =
-            (0..count).map(|k| self.moved_centers(&columns[k * size..(k + 1) * size])).collect();
-        let centers: Vec<Point3<f64>> = self.problem.poses.iter().map(|pose| pose.cam_from_world.center()).collect();
-        moved.iter_mut().for_each(|column| subtract_similarity(&centers, column));
-        let of_pose = |pose: usize| {
-            let by = |r: usize, c: usize| moved[r][pose] * moved[c][pose].transpose() * information[(r, c)];
-            (0..count).flat_map(|r| (0..count).map(move |c| (r, c))).map(|(r, c)| by(r, c)).sum()
-        };
-        Ok((0..centers.len()).map(of_pose).collect())
-    }
-
-    /// Rows of all free intrinsics in the reduced system.
-    fn places_of_intrinsics(&self) -> Vec<usize> {
-        let layout = self.layout;
-        let first = |camera: usize| match layout.intrinsics_use[camera] {
-            IntrinsicsUse::Fixed => None,
-            IntrinsicsUse::Shared(place) => Some(layout.num_blocks() * D + place as usize * CAMERA_DIM),
-            IntrinsicsUse::Fused => {
-                let used = |pose: &u32| self.problem.poses[*pose as usize].camera == camera;
-                Some(layout.pose_of_block.iter().position(used)? * D + POSE_DIM)
-            }
-        };
-        let rows = |camera: usize| first(camera).map(|first| first..first + layout.columns[camera].len);
-        (0..layout.intrinsics_use.len()).filter_map(rows).flatten().collect()
-    }
-
+impl System<'_> {
     /// By pose: the step of its center c' = c − Rᵀ v for a step of the reduced system.
     fn moved_centers(&self, step: &[f64]) -> Vec<Vector3<f64>> {
         let moved = |(pose, block): (&super::PoseBlock, &u32)| {
@@ -76,7 +44,7 @@ impl<const D: usize> System<'_, D> {
             }
             let block = *block as usize;
             let mask = &self.layout.pose_mask[block];
-            let v = Vector3::from_fn(|k, _| if mask[3 + k] { step[block * D + 3 + k] } else { 0.0 });
+            let v = Vector3::from_fn(|k, _| if mask[3 + k] { step[block * self.dim + 3 + k] } else { 0.0 });
             -(pose.cam_from_world.rotation.inverse() * v)
         };
         self.problem.poses.iter().zip(&self.layout.block_of_pose).map(moved).collect()

@@ -17,6 +17,7 @@ use super::state::State;
 pub(super) const KEPT_BYTES: usize = 64 << 20;
 
 /// Data of the points of one piece, in their order.
+#[derive(Default)]
 pub(super) struct Kept<const D: usize> {
     residuals: Vec<Residual<D>>,
     slots: Vec<[[f64; 6]; 3]>,
@@ -24,11 +25,6 @@ pub(super) struct Kept<const D: usize> {
 }
 
 impl<const D: usize> Kept<D> {
-    /// Of nothing.
-    pub fn new() -> Self {
-        Self { residuals: Vec::new(), slots: Vec::new(), terms: Vec::new() }
-    }
-
     /// Bytes that it takes to keep all points.
     pub fn bytes(layout: &Layout) -> usize {
         layout.num_obs() * size_of::<Residual<D>>()

@@ -4,8 +4,6 @@
 //! intrinsics. A camera that serves several poses is a *shared camera* with a block of its own in the border of the
 //! reduced system. All view blocks have the same size; freedoms that a block does not have are masked.
 
-use nalgebra::Point3;
-
 use super::options::{Behind, Gauge, Options};
 use super::parallel::in_order;
 use super::problem::{CameraBlock, PointPrior, Problem};
@@ -87,6 +85,7 @@ impl KnownPoint {
 }
 
 /// The structure of a problem; see the module.
+#[derive(Default)]
 pub(super) struct Layout {
     /// Index in the problem of every point that is observed.
     pub points: Vec<u32>,
@@ -154,6 +153,30 @@ impl Layout {
         self.point_start[point] as usize..self.point_start[point + 1] as usize
     }
 
+    /// View blocks of a point's observations, ascending, without observations that have none.
+    pub fn blocks_of_point(&self, point: usize) -> &[u32] {
+        let blocks = &self.obs_block[self.obs_of_point(point)];
+        &blocks[..blocks.partition_point(|block| *block != NONE)]
+    }
+
+    /// The first view block that sees a common point with each view block, or that block itself.
+    pub fn first_rows(&self) -> Vec<u32> {
+        let mut first_rows: Vec<u32> = (0..self.num_blocks() as u32).collect();
+        for point in 0..self.points.len() {
+            let blocks = self.blocks_of_point(point);
+            for block in blocks {
+                let row = &mut first_rows[*block as usize];
+                *row = (*row).min(blocks[0]);
+            }
+        }
+        first_rows
+    }
+
+    /// View block in which a camera's intrinsics are that serve one pose only.
+    pub fn block_of_camera(&self, problem: &Problem, camera: usize) -> Option<usize> {
+        self.pose_of_block.iter().position(|pose| problem.poses[*pose as usize].camera == camera)
+    }
+
     /// Slots of a point.
     pub fn slots_of_point(&self, point: usize) -> std::ops::Range<usize> {
         self.slot_start[point] as usize..self.slot_start[point + 1] as usize
@@ -161,13 +184,8 @@ impl Layout {
 
     /// Largest number of freedoms in a view block.
     pub fn largest_block(&self) -> usize {
-        let fused = self
-            .columns
-            .iter()
-            .zip(&self.intrinsics_use)
-            .filter(|(_, u)| **u == IntrinsicsUse::Fused)
-            .map(|(c, _)| c.len);
-        POSE_DIM + fused.max().unwrap_or(0)
+        let fused = self.columns.iter().zip(&self.intrinsics_use).filter(|(_, usage)| **usage == IntrinsicsUse::Fused);
+        POSE_DIM + fused.map(|(columns, _)| columns.len).max().unwrap_or(0)
     }
 
     /// Returns true if any parameter can change.
@@ -208,25 +226,7 @@ impl Layout {
                 pose_mask.push(mask);
             }
         }
-        Self {
-            points: Vec::new(),
-            point_start: Vec::new(),
-            point_fixed: Vec::new(),
-            point_priors: Vec::new(),
-            obs: Vec::new(),
-            obs_block: Vec::new(),
-            obs_slot: Vec::new(),
-            slot_start: Vec::new(),
-            slots: Vec::new(),
-            pose_of_block,
-            block_of_pose,
-            pose_mask,
-            columns,
-            intrinsics_use,
-            shared,
-            num_ignored: 0,
-            scale_pair: None,
-        }
+        Self { pose_of_block, block_of_pose, pose_mask, columns, intrinsics_use, shared, ..Self::default() }
     }
 
     /// By point, and within a point by block, observations without a block last. Points come in the order of the first
@@ -240,12 +240,12 @@ impl Layout {
                 block => block as usize,
             }
         };
-        let (by_block, _) = counting_sort(&used, self.num_blocks() + num_poses, rank);
+        let (by_block, _) = counting_sort(used.iter().map(|o| (rank(*o), *o)), self.num_blocks() + num_poses);
         let point_of = |o: u32| problem.observations[o as usize].point as usize;
-        let (by_point, start) = counting_sort(&by_block, problem.points.len(), point_of);
+        let (by_point, start) = counting_sort(by_block.iter().map(|o| (point_of(*o), *o)), problem.points.len());
         let obs_of = |p: u32| &by_point[start[p as usize] as usize..start[p as usize + 1] as usize];
-        let observed: Vec<u32> = (0..problem.points.len() as u32).filter(|p| !obs_of(*p).is_empty()).collect();
-        (self.points, _) = counting_sort(&observed, self.num_blocks() + num_poses, |p| rank(obs_of(p)[0]));
+        let observed = (0..problem.points.len() as u32).filter_map(|p| Some((rank(*obs_of(p).first()?), p)));
+        (self.points, _) = counting_sort(observed, self.num_blocks() + num_poses);
         self.point_start = std::iter::once(0)
             .chain(self.points.iter().scan(0, |end, p| {
                 *end += obs_of(*p).len() as u32;
@@ -292,32 +292,22 @@ impl Layout {
     }
 }
 
-#[cfg(test)]
-impl Layout {
-    /// Of an exact world in which one camera that is known takes all pictures.
-    pub fn of_world(num_images: u32, num_points: u32) -> Self {
-        use crate::synthetic::scene::{self, static_scene};
-        let truth = static_scene(&scene::Options { num_images, num_points, ..Default::default() });
-        let problem = Problem::from_reconstruction(&truth, |_, camera| CameraBlock::fixed(*camera));
-        Self::new(&problem, &Options::default(), false)
-    }
-}
-
-/// Stable; returns the sorted items and where each key starts (one more entry than keys).
-fn counting_sort(items: &[u32], num_keys: usize, key: impl Fn(u32) -> usize) -> (Vec<u32>, Vec<u32>) {
+/// Sorts items by their keys, which come before them; stable. Returns the items, and where each key starts (one more
+/// entry than keys).
+pub(super) fn counting_sort(
+    items: impl Iterator<Item = (usize, u32)> + Clone,
+    num_keys: usize,
+) -> (Vec<u32>, Vec<u32>) {
     let mut start = vec![0u32; num_keys + 1];
-    for item in items {
-        start[key(*item) + 1] += 1;
-    }
+    items.clone().for_each(|(key, _)| start[key + 1] += 1);
     for k in 0..num_keys {
         start[k + 1] += start[k];
     }
     let mut next = start.clone();
-    let mut sorted = vec![0; items.len()];
-    for item in items {
-        let place = &mut next[key(*item)];
-        sorted[*place as usize] = *item;
-        *place += 1;
+    let mut sorted = vec![0; start[num_keys] as usize];
+    for (key, item) in items {
+        sorted[next[key] as usize] = item;
+        next[key] += 1;
     }
     (sorted, start)
 }
@@ -382,7 +372,7 @@ impl GaugeChoice {
             .filter(|p| observed[*p] && *p != held)
             .max_by(|a, b| distance(*a).total_cmp(&distance(*b)).then(b.cmp(a)))
             .filter(|p| distance(*p) > 0.0);
-        let axis_of = |p: usize| (p, largest_axis(problem.poses[p].cam_from_world * center(held)));
+        let axis_of = |p: usize| (p, (problem.poses[p].cam_from_world * center(held)).coords.iamax());
         let (scale_pair, held_axis) = (farthest.map(|far| (held, far)), farthest.map(axis_of));
         Self { held_pose: Some(held), scale_pair, held_axis, ..nothing }
     }
@@ -397,8 +387,4 @@ impl GaugeChoice {
         }
         mask
     }
-}
-
-fn largest_axis(p: Point3<f64>) -> usize {
-    p.coords.iamax()
 }

@@ -14,7 +14,7 @@ use super::schur::Reduced;
 use super::solver::Solver;
 use super::state::State;
 use super::summary::{Summary, Termination};
-use super::trial::{cost, count_behind, try_step};
+use super::trial::{Trial, cost, count_behind, try_step};
 
 /// The damping is never smaller: a gauge that is left free keeps the system singular without it.
 const SMALLEST_DAMPING: f64 = 1e-16;
@@ -87,25 +87,6 @@ struct Run<'a, const D: usize> {
     summary: Summary,
 }
 
-/// Where a step leads.
-struct Tried {
-    /// Predicted decrease of the cost (eq. 13).
-    predicted: f64,
-    /// Cost there.
-    cost: f64,
-    /// Length of the step.
-    length: f64,
-    /// Length of all parameters there.
-    norm: f64,
-}
-
-/// Outcome of a trial step.
-enum Outcome {
-    Accepted,
-    Rejected,
-    Stop(Termination),
-}
-
 impl<'a, const D: usize> Run<'a, D> {
     fn new(problem: &'a mut Problem, options: &'a Options, pass: Pass<'a>) -> Self {
         let layout = pass.layout;
@@ -122,7 +103,12 @@ impl<'a, const D: usize> Run<'a, D> {
             norm: (state.cameras_norm_sq() + state.points_norm_sq()).sqrt(),
             damping: options.initial_damping,
             raise: 2.0,
-            summary: empty_summary(layout, reduced.size()),
+            summary: Summary {
+                num_residuals: layout.num_obs(),
+                num_ignored: layout.num_ignored,
+                reduced_size: reduced.size(),
+                ..Summary::default()
+            },
             problem,
             options,
             layout,
@@ -147,18 +133,10 @@ impl<'a, const D: usize> Run<'a, D> {
                 break Termination::MaxIterations;
             }
             self.summary.iterations += 1;
-            match self.iterate(&mut cost) {
-                Outcome::Accepted => {
-                    self.linearize();
-                }
-                Outcome::Rejected => {
-                    if self.damping > LARGEST_DAMPING {
-                        break Termination::NoProgress;
-                    }
-                    self.linearize();
-                }
-                Outcome::Stop(termination) => break termination,
+            if let Some(termination) = self.iterate(&mut cost) {
+                break termination;
             }
+            self.linearize();
         };
         self.summary.final_cost = cost;
         self.summary.num_behind = count_behind(&self.pass, &self.state);
@@ -173,40 +151,40 @@ impl<'a, const D: usize> Run<'a, D> {
         cost + priors::cost(self.problem, &self.state)
     }
 
-    /// One step from the current linearisation; moves the state and lowers `cost` if it is accepted.
-    fn iterate(&mut self, cost: &mut f64) -> Outcome {
+    /// One step from the current linearisation; moves the state and lowers `cost` if it is accepted. Returns why no
+    /// other follows, if none does.
+    fn iterate(&mut self, cost: &mut f64) -> Option<Termination> {
         if !self.solve() {
             return self.reject();
         }
         if self.largest_gradient() <= self.options.gradient_tolerance {
-            return Outcome::Stop(Termination::GradientTolerance);
+            return Some(Termination::GradientTolerance);
         }
         let start = Instant::now();
-        let Tried { predicted, cost: trial_cost, length, norm } = self.try_step();
+        let tried = self.try_step();
         self.summary.step_s += start.elapsed().as_secs_f64();
+        let predicted = 0.5 * tried.decrease;
         if !(predicted > 0.0) {
             return self.reject();
         }
         let tolerance = self.options.parameter_tolerance;
-        let small = length <= tolerance * (self.norm + tolerance);
-        let change = *cost - trial_cost;
+        let small = tried.step_sq.sqrt() <= tolerance * (self.norm + tolerance);
+        let change = *cost - tried.cost;
         let flat = change.abs() <= self.options.function_tolerance * *cost;
         let ratio = change / predicted;
-        if change >= 0.0 && ratio > 1e-3 {
+        let is_accepted = change >= 0.0 && ratio > 1e-3;
+        if is_accepted {
             std::mem::swap(&mut self.state, &mut self.trial);
-            *cost = trial_cost;
-            self.norm = norm;
+            *cost = tried.cost;
+            self.norm = tried.norm_sq.sqrt();
             self.summary.accepted += 1;
             self.accept(ratio);
-            match (flat, small) {
-                (true, _) => Outcome::Stop(Termination::FunctionTolerance),
-                (_, true) => Outcome::Stop(Termination::ParameterTolerance),
-                _ => Outcome::Accepted,
-            }
-        } else if flat || small {
-            Outcome::Stop(if flat { Termination::FunctionTolerance } else { Termination::ParameterTolerance })
-        } else {
-            self.reject()
+        }
+        match (flat, small) {
+            (true, _) => Some(Termination::FunctionTolerance),
+            (_, true) => Some(Termination::ParameterTolerance),
+            _ if is_accepted => None,
+            _ => self.reject(),
         }
     }
 
@@ -222,29 +200,28 @@ impl<'a, const D: usize> Run<'a, D> {
         solved && self.step.iter().all(|v| v.is_finite())
     }
 
-    /// Moves the trial state.
-    fn try_step(&mut self) -> Tried {
+    /// Moves the trial state; returns the sums over cameras and points.
+    fn try_step(&mut self) -> Trial {
         let in_range = self.trial.move_cameras(&self.state, self.problem, self.layout, &self.step, D);
-        let of_points = try_step(&self.lin, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
-        let predicted = 0.5 * (of_points.decrease + self.predicted_by_cameras());
-        let step_sq = of_points.step_sq + self.step.iter().map(|v| v * v).sum::<f64>();
-        let trial_cost =
-            if in_range { of_points.cost + priors::cost(self.problem, &self.trial) } else { f64::INFINITY };
-        let norm_sq = self.trial.cameras_norm_sq() + of_points.norm_sq;
-        Tried { predicted, cost: trial_cost, length: step_sq.sqrt(), norm: norm_sq.sqrt() }
+        let mut total = try_step(&self.lin, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);
+        total.decrease += self.predicted_by_cameras();
+        total.step_sq += self.step.iter().map(|v| v * v).sum::<f64>();
+        total.norm_sq += self.trial.cameras_norm_sq();
+        total.cost = if in_range { total.cost + priors::cost(self.problem, &self.trial) } else { f64::INFINITY };
+        total
     }
 
     fn predicted_by_cameras(&self) -> f64 {
         let reduced = &self.reduced;
-        let diagonal = reduced.views.iter().flat_map(|v| v.diagonal).chain(reduced.camera_diagonal.iter().copied());
-        let gradient = reduced.views.iter().flat_map(|v| v.gradient).chain(reduced.camera_gradient.iter().copied());
+        let diagonal = reduced.views.iter().flat_map(|v| v.diagonal).chain(reduced.cameras.diagonal.iter().copied());
+        let gradient = reduced.views.iter().flat_map(|v| v.gradient).chain(reduced.cameras.gradient.iter().copied());
         let terms = self.step.iter().zip(diagonal).zip(gradient);
         terms.map(|((d, diagonal), g)| d * (self.damping * damping_scale(diagonal) * d - g)).sum()
     }
 
     fn largest_gradient(&self) -> f64 {
         let views = self.reduced.views.iter().flat_map(|v| v.gradient);
-        let cameras = views.chain(self.reduced.camera_gradient.iter().copied());
+        let cameras = views.chain(self.reduced.cameras.gradient.iter().copied());
         cameras.fold(self.lin.largest_point_gradient, |m, g| m.max(g.abs()))
     }
 
@@ -255,29 +232,9 @@ impl<'a, const D: usize> Run<'a, D> {
         self.raise = 2.0;
     }
 
-    fn reject(&mut self) -> Outcome {
+    fn reject(&mut self) -> Option<Termination> {
         self.damping *= self.raise;
         self.raise *= 2.0;
-        Outcome::Rejected
-    }
-}
-
-fn empty_summary(layout: &Layout, reduced_size: usize) -> Summary {
-    Summary {
-        initial_cost: 0.0,
-        final_cost: 0.0,
-        iterations: 0,
-        accepted: 0,
-        termination: Termination::NothingToDo,
-        num_residuals: layout.num_obs(),
-        num_ignored: layout.num_ignored,
-        num_behind: 0,
-        reduced_size,
-        setup_s: 0.0,
-        linearize_s: 0.0,
-        schur_s: 0.0,
-        solve_s: 0.0,
-        step_s: 0.0,
-        total_s: 0.0,
+        (self.damping > LARGEST_DAMPING).then_some(Termination::NoProgress)
     }
 }

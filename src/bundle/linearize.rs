@@ -49,7 +49,7 @@ impl<const D: usize> Linearization<D> {
     /// Keeps from now on what the step of the points needs, if it takes at most so many bytes.
     pub fn keep_within(mut self, layout: &Layout, most_bytes: usize) -> Self {
         let fits = Kept::<D>::bytes(layout) <= most_bytes;
-        self.kept = self.pieces.iter().map(|_| fits.then(Kept::new)).collect();
+        self.kept = self.pieces.iter().map(|_| fits.then(Kept::default)).collect();
         self
     }
 

@@ -1,6 +1,6 @@
 //! Which pairs of views have a block in the reduced system.
 
-use super::layout::{Layout, NONE};
+use super::layout::{Layout, NONE, counting_sort};
 
 /// With at most this many views every pair gets a block, and no pattern has to be found.
 const ALL_PAIRS_LIMIT: usize = 64;
@@ -62,26 +62,15 @@ impl Pattern {
     /// Marks the pairs of every point in the envelope of the matrix.
     fn seen(layout: &Layout) -> Self {
         let n = layout.num_blocks();
-        let mut first_row: Vec<u32> = (0..n as u32).collect();
-        for point in 0..layout.points.len() {
-            let obs = layout.obs_of_point(point);
-            let first = layout.obs_block[obs.start];
-            for o in obs.take_while(|o| layout.obs_block[*o] != NONE) {
-                let row = &mut first_row[layout.obs_block[o] as usize];
-                *row = (*row).min(first);
-            }
-        }
-        let mut place_start = Vec::with_capacity(n);
-        let mut len = 0;
-        for (j, first) in first_row.iter().enumerate() {
-            place_start.push(len);
-            len += j + 1 - *first as usize;
-        }
+        let first_row = layout.first_rows();
+        let widths = || first_row.iter().enumerate().map(|(j, first)| j + 1 - *first as usize);
+        let place_start = widths().scan(0, |end, width| Some(std::mem::replace(end, *end + width))).collect();
         let least_fill = if layout.pose_of_block.is_sorted() { BAND_FILL } else { BORDERED_FILL };
-        let place = vec![NONE; len];
+        let place = vec![NONE; widths().sum()];
         let (start, rows) = (vec![0], Vec::new());
         let mut pattern = Self { start, rows, first_row, place_start, place, least_fill, of_single_views: false };
-        let (points, start) = points_of_blocks(layout);
+        let blocks_of = |point| layout.blocks_of_point(point).iter().map(move |block| (*block as usize, point as u32));
+        let (points, start) = counting_sort((0..layout.points.len()).flat_map(blocks_of), n);
         for j in 0..n {
             pattern.mark_panel(layout, j, &points[start[j] as usize..start[j + 1] as usize]);
         }
@@ -150,26 +139,4 @@ impl Pattern {
     pub fn place(&self, i: usize, j: usize) -> usize {
         self.start[j] + self.place[self.place_start[j] + i - self.first_row[j] as usize] as usize
     }
-}
-
-/// The points that each view block sees, ascending, and where those of each block begin.
-fn points_of_blocks(layout: &Layout) -> (Vec<u32>, Vec<u32>) {
-    let mut start = vec![0u32; layout.num_blocks() + 1];
-    for block in layout.obs_block.iter().filter(|block| **block != NONE) {
-        start[*block as usize + 1] += 1;
-    }
-    for k in 1..start.len() {
-        start[k] += start[k - 1];
-    }
-    let mut next = start.clone();
-    let mut points = vec![0; start.last().map_or(0, |end| *end as usize)];
-    for point in 0..layout.points.len() {
-        let views = &layout.obs_block[layout.obs_of_point(point)];
-        for block in views.iter().take_while(|block| **block != NONE) {
-            let place = &mut next[*block as usize];
-            points[*place as usize] = point as u32;
-            *place += 1;
-        }
-    }
-    (points, start)
 }

@@ -41,7 +41,7 @@ pub(super) fn terms(problem: &Problem, layout: &Layout, state: &State) -> Vec<Pr
             IntrinsicsUse::Fixed => continue,
             IntrinsicsUse::Shared(place) => terms.target = PriorTarget::Shared(place as usize),
             IntrinsicsUse::Fused => {
-                let Some(block) = block_of_camera(problem, layout, prior.camera) else { continue };
+                let Some(block) = layout.block_of_camera(problem, prior.camera) else { continue };
                 terms.target = PriorTarget::Block(block);
                 terms.offset = super::layout::POSE_DIM;
             }
@@ -49,10 +49,6 @@ pub(super) fn terms(problem: &Problem, layout: &Layout, state: &State) -> Vec<Pr
         out.push(terms);
     }
     out
-}
-
-fn block_of_camera(problem: &Problem, layout: &Layout, camera: usize) -> Option<usize> {
-    layout.pose_of_block.iter().position(|pose| problem.poses[*pose as usize].camera == camera)
 }
 
 fn hold(terms: &mut PriorTerms, mask: &[bool; 6]) {

@@ -1,6 +1,6 @@
 //! Parameters that vary, parameters that are held, and observations.
 
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Point2, Point3, Vector2, Vector3};
 use thiserror::Error;
 
 use super::whitening::Whitening;
@@ -217,6 +217,23 @@ pub enum BundleError {
 }
 
 impl Problem {
+    /// Position at which an observation's point projects less the measured one, pixels.
+    pub fn residual_px(&self, o: &Observation) -> Vector2<f64> {
+        let pose = &self.poses[o.pose as usize];
+        let point_in_cam = pose.cam_from_world * self.points[o.point as usize].position;
+        self.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel
+    }
+
+    /// Reprojection errors of the observations whose points lie in front of their cameras, pixels.
+    pub fn errors_px(&self) -> impl Iterator<Item = f64> + '_ {
+        self.observations.iter().filter_map(|o| {
+            let pose = &self.poses[o.pose as usize];
+            let point_in_cam = pose.cam_from_world * self.points[o.point as usize].position;
+            let pixel = self.cameras[pose.camera].camera.pixel_from_cam(point_in_cam)?;
+            Some((pixel - o.pixel).norm())
+        })
+    }
+
     /// Looks through all indices and values.
     ///
     /// # Errors

@@ -29,15 +29,9 @@ pub(super) struct Reduced<const D: usize> {
     /// Blocks (view, shared camera), by view.
     pub border: Vec<[[f64; CAMERA_DIM]; D]>,
     /// The shared cameras' sums over all points.
-    cameras: CameraSums,
-    /// Their own block, row-major, both triangles.
-    pub camera_block: Vec<f64>,
-    /// Their reduced gradient.
-    pub camera_reduced: Vec<f64>,
-    /// Their gradient.
-    pub camera_gradient: Vec<f64>,
-    /// Diagonal of their normal equations.
-    pub camera_diagonal: Vec<f64>,
+    sums: CameraSums,
+    /// These with priors and damping.
+    pub cameras: CameraSums,
 }
 
 impl<const D: usize> Reduced<D> {
@@ -55,24 +49,21 @@ impl<const D: usize> Reduced<D> {
     }
 
     fn with(layout: &Layout, pattern: Pattern, coupling: Option<Coupling<D>>) -> Self {
-        let cameras = layout.shared.len() * CAMERA_DIM;
+        let cameras = CameraSums::new(layout.shared.len() * CAMERA_DIM);
         Self {
             blocks: vec![[[0.0; D]; D]; pattern.len()],
             pattern,
             coupling,
             views: vec![ViewTerms::ZERO; layout.num_blocks()],
             border: vec![[[0.0; CAMERA_DIM]; D]; layout.num_blocks() * layout.shared.len()],
-            cameras: CameraSums::new(cameras),
-            camera_block: vec![0.0; cameras * cameras],
-            camera_reduced: vec![0.0; cameras],
-            camera_gradient: vec![0.0; cameras],
-            camera_diagonal: vec![0.0; cameras],
+            sums: cameras.clone(),
+            cameras,
         }
     }
 
     /// Number of unknowns, held ones included.
     pub fn size(&self) -> usize {
-        self.views.len() * D + self.camera_reduced.len()
+        self.views.len() * D + self.cameras.reduced.len()
     }
 
     /// Forgets everything.
@@ -80,12 +71,12 @@ impl<const D: usize> Reduced<D> {
         self.blocks.fill([[0.0; D]; D]);
         self.views.fill(ViewTerms::ZERO);
         self.border.fill([[0.0; CAMERA_DIM]; D]);
-        self.cameras.clear();
+        self.sums.clear();
     }
 
     /// Adds what the points of a piece give.
     pub fn add(&mut self, sums: &Sums<D>, parallel: bool) {
-        let num_shared = self.cameras.reduced.len() / CAMERA_DIM;
+        let num_shared = self.sums.reduced.len() / CAMERA_DIM;
         let into = self.blocks[sums.block_range.clone()].chunks_mut(BLOCKS_PER_TASK);
         let chunks = into.zip(sums.blocks.chunks(BLOCKS_PER_TASK)).collect();
         in_order(parallel, chunks, |(into, from)| add_blocks(into, from));
@@ -96,7 +87,7 @@ impl<const D: usize> Reduced<D> {
         if let Some(coupling) = &mut self.coupling {
             coupling.blocks[sums.obs_range.clone()].copy_from_slice(&sums.coupling);
         }
-        self.cameras.merge(&sums.cameras);
+        self.sums.merge(&sums.cameras);
     }
 
     /// Makes S + λD and b of the sums over all points: adds priors and damping.
@@ -114,14 +105,12 @@ impl<const D: usize> Reduced<D> {
                 }
             }
         }
-        if !self.camera_reduced.is_empty() {
-            self.finish_cameras(priors, damping);
-        }
+        self.finish_cameras(priors, damping);
     }
 
     fn finish_cameras(&mut self, priors: &[PriorTerms], damping: f64) {
-        let n = self.camera_reduced.len();
-        let mut total = self.cameras.clone();
+        self.cameras.clone_from(&self.sums);
+        let (total, n) = (&mut self.cameras, self.sums.reduced.len());
         for prior in priors {
             if let PriorTarget::Shared(camera) = prior.target {
                 total.add_prior(camera * CAMERA_DIM, prior);
@@ -134,10 +123,6 @@ impl<const D: usize> Reduced<D> {
                 *cell = 1.0;
             }
         }
-        self.camera_block = total.block;
-        self.camera_reduced = total.reduced;
-        self.camera_gradient = total.gradient;
-        self.camera_diagonal = total.diagonal;
     }
 }
 

@@ -51,12 +51,11 @@ impl Solver {
             LinearSolver::Auto => {
                 let views = reduced.views.len();
                 let of_all = 2.0 / (views * (views + 1)).max(1) as f64;
-                let is_filled = if reduced.pattern.is_band() {
-                    reduced.pattern.envelope() as f64 * of_all > DENSE_BAND_FILL
-                } else {
-                    reduced.pattern.len() as f64 * of_all > DENSE_FILL
-                };
                 let (blocks, envelope) = (reduced.pattern.len(), reduced.pattern.envelope());
+                let is_filled = match reduced.pattern.is_band() {
+                    true => envelope as f64 * of_all > DENSE_BAND_FILL,
+                    false => blocks as f64 * of_all > DENSE_FILL,
+                };
                 tracing::trace!(size, views, blocks, envelope, is_filled, "reduced system");
                 if size <= DENSE_SIZE || (is_filled && size <= LARGEST_DENSE) {
                     Self::Dense(DenseSolver::new(size, par))
@@ -68,32 +67,22 @@ impl Solver {
     }
 
     fn sparse<const D: usize>(reduced: &Reduced<D>) -> Self {
-        if reduced.pattern.is_band() {
-            return Self::Skyline(SkylineSolver::new(reduced));
-        }
         // The symbolic factorization fails only where memory runs out; a band, however wide, needs none.
-        match SparseSolver::new(reduced) {
-            Some(solver) => Self::Sparse(solver),
-            None => Self::Skyline(SkylineSolver::new(reduced)),
-        }
+        let sparse = if reduced.pattern.is_band() { None } else { SparseSolver::new(reduced) };
+        sparse.map_or_else(|| Self::Skyline(SkylineSolver::new(reduced)), Self::Sparse)
     }
 
     /// Solves S δ = −b. `Err` holds the pivot at which S is not positive definite.
     pub fn solve<const D: usize>(&mut self, reduced: &Reduced<D>, step: &mut [f64]) -> Result<(), usize> {
         right_hand_side(reduced, step);
-        match self {
-            Self::Dense(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
-            Self::Skyline(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
-            Self::Sparse(solver) => solver.factor(reduced).map(|()| solver.solve(step)),
-            Self::Points(solver) => match &reduced.coupling {
-                Some(coupling) => solver.solve(reduced, coupling, step),
-                None => Err(0),
-            },
+        if let (Self::Points(solver), Some(coupling)) = (&mut *self, &reduced.coupling) {
+            return solver.solve(reduced, coupling, step);
         }
+        self.factor(reduced)?;
+        self.solve_columns(step);
+        Ok(())
     }
-}
 
-impl Solver {
     /// Factorises S for [`Solver::solve_columns`]; the solver of a system that is not formed cannot.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         match self {
@@ -117,7 +106,7 @@ impl Solver {
 
 /// −b.
 fn right_hand_side<const D: usize>(reduced: &Reduced<D>, out: &mut [f64]) {
-    let values = reduced.views.iter().flat_map(|v| v.reduced).chain(reduced.camera_reduced.iter().copied());
+    let values = reduced.views.iter().flat_map(|v| v.reduced).chain(reduced.cameras.reduced.iter().copied());
     for (cell, value) in out.iter_mut().zip(values) {
         *cell = -value;
     }

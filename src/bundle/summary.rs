@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 /// Why the iterations ended.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Termination {
     /// A step changed the cost by less than the function tolerance: converged.
@@ -17,11 +17,12 @@ pub enum Termination {
     /// No damping gave a step that lowered the cost; the result is the best state seen.
     NoProgress,
     /// Nothing is free, or nothing usable is observed: the problem is unchanged.
+    #[default]
     NothingToDo,
 }
 
 /// Result of an adjustment.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Summary {
     /// ½ Σ ρ at the start, priors included.
     pub initial_cost: f64,

@@ -5,12 +5,22 @@ mod jacobians;
 
 use nalgebra::{Point2, Point3, Vector3};
 
+use super::layout::Layout;
 use super::*;
 use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::{Rigid3, RobustLoss, umeyama};
 use crate::scene::Reconstruction;
 use crate::synthetic::scene::{self, CameraMotion, disturb, static_scene};
+
+impl Layout {
+    /// Of an exact world in which one camera that is known takes all pictures.
+    pub fn of_world(num_images: u32, num_points: u32) -> Self {
+        let truth = static_scene(&scene::Options { num_images, num_points, ..Default::default() });
+        let problem = Problem::from_reconstruction(&truth, |_, camera| CameraBlock::fixed(*camera));
+        Self::new(&problem, &Options::default(), false)
+    }
+}
 
 /// Truth, and a problem that starts away from it.
 fn disturbed(options: &scene::Options, block: fn(Camera) -> CameraBlock) -> (Reconstruction, Problem) {

@@ -9,6 +9,7 @@
 //! - *the order*: those few views, the [`anchors`], come last in the reduced system. What is left without them is a
 //!   band, and its Cholesky factor fills nothing but the rows of the anchors.
 
+use super::layout::counting_sort;
 use super::problem::Problem;
 
 /// Of an earlier visit the views count whose numbers can be halved so often: one in sixteen.
@@ -76,19 +77,8 @@ struct Visits {
 
 impl Visits {
     fn of(problem: &Problem, used: &[u32]) -> Self {
-        let mut start = vec![0u32; problem.points.len() + 1];
-        let point = |o: u32| problem.observations[o as usize].point as usize;
-        used.iter().for_each(|o| start[point(*o) + 1] += 1);
-        for k in 1..start.len() {
-            start[k] += start[k - 1];
-        }
-        let mut next = start.clone();
-        let mut sorted = vec![0; used.len()];
-        for o in used {
-            let place = &mut next[point(*o)];
-            sorted[*place as usize] = *o;
-            *place += 1;
-        }
+        let by_point = used.iter().map(|o| (problem.observations[*o as usize].point as usize, *o));
+        let (mut sorted, start) = counting_sort(by_point, problem.points.len());
         for pair in start.windows(2) {
             sorted[pair[0] as usize..pair[1] as usize].sort_by_key(|o| problem.observations[*o as usize].pose);
         }

@@ -10,14 +10,14 @@ use super::residual::{plain_residual, point_in_cam, robust_cost, robust_cost_and
 use super::simd::{Fused, Task, wide};
 use super::state::{State, View};
 
-/// Predicted decrease and cost of a trial step.
+/// Predicted decrease and cost of a trial step, of the points or of all parameters.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Trial {
-    /// The points' part of twice the predicted decrease (eq. 13).
+    /// Twice the predicted decrease (eq. 13).
     pub decrease: f64,
-    /// Square of the length of the points' step.
+    /// Square of the length of the step.
     pub step_sq: f64,
-    /// Sum of the squares of the points' coordinates at the new state.
+    /// Sum of the squares of the parameters at the new state.
     pub norm_sq: f64,
     /// Σ ρ / 2 at the new state; infinite where any residual is not finite.
     pub cost: f64,

@@ -4,13 +4,15 @@ use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
 
-use super::clustered::clustered_centers;
-use super::covariance::{Wanted, covariances};
+use super::clustered::Groups;
+use super::covariance::{PoseCovariance, System};
 use super::intrinsics_share::intrinsics_share;
+use super::layout::Layout;
 use super::options::{Behind, Options};
 use super::problem::{BundleError, CameraBlock, IntrinsicsPrior, Problem};
 use super::ties::FAR;
 use crate::camera::NUM_INTRINSICS;
+use crate::math::bin;
 use crate::scene::{CameraId, ImageId, Reconstruction};
 
 /// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
@@ -61,7 +63,7 @@ pub struct CenterDeviations {
 /// matches. `None` where there are no more residuals than unknowns.
 ///
 /// # Errors
-/// As [`covariances`].
+/// As [`super::covariances`].
 pub fn center_deviations(
     model: &Reconstruction,
     num_images: usize,
@@ -91,16 +93,18 @@ pub fn center_deviations(
     let poses: Vec<usize> = (0..count).map(|k| free[k * (free.len() - 1) / (count - 1).max(1)]).collect();
     let ids: Vec<ImageId> = model.images.keys().copied().step_by(one_in).collect();
     let options = Options { threads: 1, behind: Behind::Project, ..Options::default() };
-    let found = covariances(&problem, &options, &Wanted { poses: poses.clone(), ..Wanted::default() })?;
-    let (group_of_point, num_groups) = groups(&problem);
-    let clustered = clustered_centers(&problem, &options, &poses, &group_of_point, num_groups)?;
+    let layout = Layout::new(&problem, &options, false);
+    let mut system = System::new(&problem, &options, &layout, false, &groups(&problem))?;
+    let alone: Vec<PoseCovariance> = poses.iter().map(|pose| system.pose(*pose)).collect::<Result<_, _>>()?;
+    let clustered: Vec<Matrix3<f64>> =
+        poses.iter().map(|pose| system.clustered_center(*pose)).collect::<Result<_, _>>()?;
     let of_intrinsics = shares_of_intrinsics(model, problem, &options, intrinsics, pixel_px / (one_in as f64).sqrt())?;
-    let deviation = |(pose, (alone, clustered)): (&usize, (&super::PoseCovariance, &Matrix3<f64>))| {
+    let deviation = |(pose, (alone, clustered)): (&usize, (&PoseCovariance, &Matrix3<f64>))| {
         let alone = pixel_px * (alone.center.trace().max(0.0) / one_in as f64).sqrt();
         let share = of_intrinsics.get(*pose).map_or(0.0, |share| share.trace().max(0.0).sqrt());
         (ids[*pose], alone.max(clustered.trace().max(0.0).sqrt()).hypot(share))
     };
-    let centers = poses.iter().zip(found.poses.iter().zip(&clustered)).map(deviation).collect();
+    let centers = poses.iter().zip(alone.iter().zip(&clustered)).map(deviation).collect();
     Ok(Some(CenterDeviations { pixel_px, held: ids[held], farthest: ids[farthest], centers }))
 }
 
@@ -146,8 +150,8 @@ fn leave_single_observations_out(problem: &mut Problem) {
     problem.observations.retain(|o| counts[o.point as usize] > 1);
 }
 
-/// By point the group with which it may err together, a part of the time and of the picture; and how many there are.
-fn groups(problem: &Problem) -> (Vec<usize>, usize) {
+/// Points that may err together: those of a part of the time and of the picture.
+fn groups(problem: &Problem) -> Groups {
     // 48 groups in all, several times as many as a camera has parameters.
     const TIMES: usize = 8;
     const PARTS: [usize; 2] = [3, 2];
@@ -160,22 +164,17 @@ fn groups(problem: &Problem) -> (Vec<usize>, usize) {
             *cell += value;
         }
     }
-    let place = |value: f64, parts: usize| ((value * parts as f64) as usize).min(parts - 1);
     let group = |[pose, u, v, count]: &[f64; 4]| {
         let count = count.max(1.0);
-        let time = place(pose / count / problem.poses.len().max(1) as f64, TIMES);
-        (time * PARTS[0] + place(u / count, PARTS[0])) * PARTS[1] + place(v / count, PARTS[1])
+        let time = bin(pose / count / problem.poses.len().max(1) as f64, TIMES);
+        (time * PARTS[0] + bin(u / count, PARTS[0])) * PARTS[1] + bin(v / count, PARTS[1])
     };
-    (sums.iter().map(group).collect(), TIMES * PARTS[0] * PARTS[1])
+    Groups { of_point: sums.iter().map(group).collect(), count: TIMES * PARTS[0] * PARTS[1] }
 }
 
 /// From the residuals' sum of squares and the redundancy, of which the gauge gives back seven.
 fn pixel_deviation(problem: &Problem) -> Option<f64> {
-    let residual_sq = |o: &super::Observation| {
-        let pose = &problem.poses[o.pose as usize];
-        let point_in_cam = pose.cam_from_world * problem.points[o.point as usize].position;
-        (problem.cameras[pose.camera].camera.project(point_in_cam).pixel - o.pixel).norm_squared()
-    };
+    let residual_sq = |o: &super::Observation| problem.residual_px(o).norm_squared();
     let sum: f64 = problem.observations.iter().map(residual_sq).filter(|sq| sq.is_finite()).sum();
     let mut is_seen = vec![false; problem.points.len()];
     problem.observations.iter().for_each(|o| is_seen[o.point as usize] = true);

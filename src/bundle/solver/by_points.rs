@@ -2,7 +2,7 @@
 
 use faer::Par;
 
-use super::dense::DenseCholesky;
+use super::dense::DenseSolver;
 use crate::bundle::coupling::{Coupling, Pair};
 use crate::bundle::schur::Reduced;
 use crate::bundle::simd::{Fused, Task, wide};
@@ -10,7 +10,7 @@ use crate::bundle::simd::{Fused, Task, wide};
 /// Solves S δ = −b for an S that is not formed.
 pub(in crate::bundle) struct PointsSolver {
     /// I − Σ ZᵀZ over the views (eq. 8b).
-    matrix: DenseCholesky,
+    matrix: DenseSolver,
     /// Lower triangles of the Cholesky factors of the views' blocks, row-major, D × D each.
     factors: Vec<f64>,
     /// Z of every view after the other: D rows, three columns for each point that it sees.
@@ -23,7 +23,7 @@ impl PointsSolver {
     pub fn new<const D: usize>(coupling: &Coupling<D>, par: Par) -> Self {
         let unknowns = 3 * coupling.num_points;
         Self {
-            matrix: DenseCholesky::new(unknowns, par),
+            matrix: DenseSolver::new(unknowns, par),
             factors: Vec::new(),
             scaled: Vec::new(),
             of_points: vec![0.0; unknowns],
@@ -38,7 +38,7 @@ impl PointsSolver {
         step: &mut [f64],
     ) -> Result<(), usize> {
         wide(Scale { solver: self, reduced, coupling, step })?;
-        self.matrix.factor().map_err(|pivot| step.len() + pivot)?;
+        self.matrix.factor_columns().map_err(|pivot| step.len() + pivot)?;
         self.matrix.solve(&mut self.of_points);
         wide(Finish { solver: self, coupling, step });
         Ok(())
@@ -104,7 +104,7 @@ const WIDTH: usize = 12;
 /// * `products` – room for three columns, whatever it holds.
 #[inline(always)]
 fn subtract_products<const D: usize, F: Fused>(
-    matrix: &mut DenseCholesky,
+    matrix: &mut DenseSolver,
     pairs: &[Pair],
     z: &[f64],
     products: &mut Vec<[f64; 3]>,

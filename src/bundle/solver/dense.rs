@@ -9,7 +9,7 @@ use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
 /// A symmetric matrix and its Cholesky factor: the lower triangle by columns, factorised in place.
-pub(super) struct DenseCholesky {
+pub(in crate::bundle) struct DenseSolver {
     size: usize,
     /// Distance of columns: not a power of two, whose columns would share cache sets.
     stride: usize,
@@ -18,12 +18,10 @@ pub(super) struct DenseCholesky {
     scratch: MemBuffer,
 }
 
-impl DenseCholesky {
+impl DenseSolver {
     pub fn new(size: usize, par: Par) -> Self {
         let stride = size.div_ceil(8).max(1) * 8 + 8;
-        let params: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
-        let scratch = MemBuffer::new(factor::cholesky_in_place_scratch::<f64>(size, par, params));
-        Self { size, stride, values: vec![0.0; stride * size], par, scratch }
+        Self { size, stride, values: vec![0.0; stride * size], par, scratch: scratch(size, par) }
     }
 
     /// A column, of which the entries from the diagonal on count.
@@ -32,18 +30,13 @@ impl DenseCholesky {
     }
 
     /// Factorises what the columns hold; `Err` holds the first pivot that is not positive.
-    pub fn factor(&mut self) -> Result<(), usize> {
+    pub fn factor_columns(&mut self) -> Result<(), usize> {
         if self.size == 0 {
             return Ok(());
         }
         let matrix =
             MatMut::from_column_major_slice_with_stride_mut(&mut self.values, self.size, self.size, self.stride);
-        let (regularization, params) = (LltRegularization::default(), Spec::new(Auto::<f64>::auto()));
-        let stack = MemStack::new(&mut self.scratch);
-        match factor::cholesky_in_place(matrix, regularization, self.par, stack, params) {
-            Ok(_) => Ok(()),
-            Err(LltError::NonPositivePivot { index }) => Err(index),
-        }
+        factor_in_place(matrix, self.par, &mut self.scratch)
     }
 
     /// Solves in place with the last factor, for any number of columns.
@@ -56,21 +49,12 @@ impl DenseCholesky {
         let rhs = MatMut::from_column_major_slice_mut(columns, self.size, count);
         solve::solve_in_place(factor, rhs, Par::Seq, MemStack::new(&mut self.scratch));
     }
-}
-
-/// The whole of S.
-pub(in crate::bundle) struct DenseSolver(DenseCholesky);
-
-impl DenseSolver {
-    pub fn new(size: usize, par: Par) -> Self {
-        Self(DenseCholesky::new(size, par))
-    }
 
     /// Factorises S; `Err` holds the first pivot that is not positive.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         self.copy_views(reduced);
         self.copy_border(reduced);
-        self.0.factor()
+        self.factor_columns()
     }
 
     /// Block (i, j) of the upper triangle lies transposed at rows j, columns i of the lower one.
@@ -78,7 +62,7 @@ impl DenseSolver {
         let views = reduced.views.len();
         for i in 0..views {
             for r in 0..D {
-                let column = self.0.column(i * D + r);
+                let column = self.column(i * D + r);
                 for j in i..views {
                     let rows = &mut column[j * D..(j + 1) * D];
                     match reduced.pattern.find(i, j) {
@@ -91,24 +75,32 @@ impl DenseSolver {
     }
 
     fn copy_border<const D: usize>(&mut self, reduced: &Reduced<D>) {
-        let (views, n) = (reduced.views.len(), reduced.camera_reduced.len());
+        let (views, n) = (reduced.views.len(), reduced.cameras.reduced.len());
         let num_shared = n / CAMERA_DIM;
         for i in 0..views {
             for r in 0..D {
-                let column = &mut self.0.column(i * D + r)[views * D..][..n];
+                let column = &mut self.column(i * D + r)[views * D..][..n];
                 for (camera, rows) in column.chunks_exact_mut(CAMERA_DIM).enumerate() {
                     rows.copy_from_slice(&reduced.border[i * num_shared + camera][r]);
                 }
             }
         }
         for r in 0..n {
-            let column = &mut self.0.column(views * D + r)[views * D..][..n];
-            column.copy_from_slice(&reduced.camera_block[r * n..(r + 1) * n]);
+            let column = &mut self.column(views * D + r)[views * D..][..n];
+            column.copy_from_slice(&reduced.cameras.block[r * n..(r + 1) * n]);
         }
     }
+}
 
-    /// Solves in place with the last factor, for any number of columns.
-    pub fn solve(&mut self, columns: &mut [f64]) {
-        self.0.solve(columns);
-    }
+/// Room to factorise a matrix of a size.
+pub(super) fn scratch(size: usize, par: Par) -> MemBuffer {
+    let params: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
+    MemBuffer::new(factor::cholesky_in_place_scratch::<f64>(size, par, params))
+}
+
+/// Factorises the lower triangle of a matrix in place; `Err` holds the first pivot that is not positive.
+pub(super) fn factor_in_place(matrix: MatMut<'_, f64>, par: Par, scratch: &mut MemBuffer) -> Result<(), usize> {
+    let (regularization, params) = (LltRegularization::default(), Spec::new(Auto::<f64>::auto()));
+    let done = factor::cholesky_in_place(matrix, regularization, par, MemStack::new(scratch), params);
+    done.map(drop).map_err(|LltError::NonPositivePivot { index }| index)
 }

@@ -12,13 +12,13 @@
 //! into the place of L, so that the system takes no memory beyond that of its envelope. Shared cameras are the last
 //! stripe.
 
-use faer::dyn_stack::{MemBuffer, MemStack};
-use faer::linalg::cholesky::llt::factor::{self, LltError, LltParams, LltRegularization};
+use faer::dyn_stack::MemBuffer;
 use faer::linalg::matmul::matmul;
 use faer::linalg::triangular_solve::solve_lower_triangular_in_place;
 use faer::prelude::ReborrowMut;
-use faer::{Accum, Auto, MatMut, MatRef, Par, Spec};
+use faer::{Accum, MatMut, MatRef, Par};
 
+use super::dense::{factor_in_place, scratch};
 use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
@@ -83,11 +83,7 @@ impl Stripe {
         if start > self.first {
             matmul(own.rb_mut(), Accum::Add, left, left.transpose(), -1.0, Par::Seq);
         }
-        let (regularization, params) = (LltRegularization::default(), Spec::new(Auto::<f64>::auto()));
-        match factor::cholesky_in_place(own, regularization, Par::Seq, MemStack::new(scratch), params) {
-            Ok(_) => Ok(()),
-            Err(LltError::NonPositivePivot { index }) => Err(start + index),
-        }
+        factor_in_place(own, Par::Seq, scratch).map_err(|index| start + index)
     }
 
     /// y = L_JJ⁻¹ (b − Σ_{K<J} L_JK y_K), for the rows of this stripe; `x` holds y before them and b in them.
@@ -143,9 +139,7 @@ impl SkylineSolver {
             stripes.push(Stripe::new(views * D, size - views * D, 0));
         }
         let widest = stripes.iter().map(|stripe| stripe.width).max().unwrap_or(0);
-        let params: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
-        let scratch = MemBuffer::new(factor::cholesky_in_place_scratch::<f64>(widest, Par::Seq, params));
-        Self { size, stripes, scratch }
+        Self { size, stripes, scratch: scratch(widest, Par::Seq) }
     }
 
     /// Factorises S; `Err` holds the first pivot that is not positive.
@@ -179,7 +173,7 @@ impl SkylineSolver {
     }
 
     fn copy_cameras<const D: usize>(&mut self, reduced: &Reduced<D>) {
-        let (views, n) = (reduced.views.len(), reduced.camera_reduced.len());
+        let (views, n) = (reduced.views.len(), reduced.cameras.reduced.len());
         let Some(stripe) = self.stripes.last_mut().filter(|_| n > 0) else { return };
         let (border, own) = stripe.values.split_at_mut(views * D * n);
         for (view, blocks) in reduced.border.chunks_exact(n / CAMERA_DIM).enumerate() {
@@ -190,7 +184,7 @@ impl SkylineSolver {
                 }
             }
         }
-        own.copy_from_slice(&reduced.camera_block);
+        own.copy_from_slice(&reduced.cameras.block);
     }
 
     /// Solves in place with the last factor, for any number of columns.

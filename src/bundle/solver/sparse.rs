@@ -59,10 +59,7 @@ impl SparseSolver {
             stack,
             params,
         );
-        match done {
-            Ok(_) => Ok(()),
-            Err(LltError::NonPositivePivot { index }) => Err(index),
-        }
+        done.map(drop).map_err(|LltError::NonPositivePivot { index }| index)
     }
 
     /// Solves in place with the last factor, for any number of columns.
@@ -89,7 +86,7 @@ fn structure<const D: usize>(reduced: &Reduced<D>) -> (Vec<usize>, Vec<usize>) {
             start.push(rows.len());
         }
     }
-    for k in 0..reduced.camera_reduced.len() {
+    for k in 0..reduced.cameras.reduced.len() {
         rows.extend(0..=views * D + k);
         start.push(rows.len());
     }
@@ -98,7 +95,7 @@ fn structure<const D: usize>(reduced: &Reduced<D>) -> (Vec<usize>, Vec<usize>) {
 
 /// Values in the order of [`structure`].
 fn fill<const D: usize>(reduced: &Reduced<D>, values: &mut [f64]) {
-    let (views, n) = (reduced.views.len(), reduced.camera_reduced.len());
+    let (views, n) = (reduced.views.len(), reduced.cameras.reduced.len());
     let mut cells = values.iter_mut();
     let mut put = |value: f64| {
         if let Some(cell) = cells.next() {
@@ -122,7 +119,7 @@ fn fill<const D: usize>(reduced: &Reduced<D>, values: &mut [f64]) {
             block.iter().for_each(|row| put(row[k % CAMERA_DIM]));
         }
         for r in 0..=k {
-            put(reduced.camera_block[r * n + k]);
+            put(reduced.cameras.block[r * n + k]);
         }
     }
 }

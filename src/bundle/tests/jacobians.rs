@@ -170,7 +170,7 @@ fn compare_gradients(problem: &Problem, options: &Options) {
     reduced.finish(&priors::terms(problem, &layout, &state), 1e-4);
     let total = |state: &State| cost(&pass, state) + priors::cost(problem, state);
     let gradient: Vec<f64> =
-        reduced.views.iter().flat_map(|v| v.gradient).chain(reduced.camera_gradient.clone()).collect();
+        reduced.views.iter().flat_map(|v| v.gradient).chain(reduced.cameras.gradient.clone()).collect();
     let close = |numeric: f64, analytic: f64, what: &str| {
         assert!(
             (numeric - analytic).abs() < 1e-5 * (10.0 + analytic.abs()),
