@@ -253,7 +253,7 @@ proptest! {
             Some((CAMERA.normalized_from_pixel(first?), CAMERA.normalized_from_pixel(second?)))
         };
         let (first, second): (Vec<_>, Vec<_>) = world.points().iter().filter_map(|p| seen(p, rng)).unzip();
-        let pairs = Correspondences { first: &first, second: &second };
+        let pairs = Correspondences { first: first.clone(), second: second.clone() };
         if let Some(found) = two_view::estimate(&pairs, 0.006, rng) {
             prop_finite!(found);
         }

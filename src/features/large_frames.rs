@@ -22,14 +22,8 @@ const MAX_SIDE_PX: u32 = 1920;
 pub struct AnySizeFrontEnd {
     options: VideoOptions,
     camera: Camera,
-    at_work: Option<(Box<VideoFrontEnd>, Reduction)>,
-}
-
-/// Reduction of large frames.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Reduction {
-    None,
-    ToMaxSide,
+    /// And whether frames are reduced for it.
+    at_work: Option<(Box<VideoFrontEnd>, bool)>,
 }
 
 impl AnySizeFrontEnd {
@@ -44,8 +38,8 @@ impl AnySizeFrontEnd {
     /// [`FeatureError::OpenCv`] if OpenCV fails.
     pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
         let (options, camera, image) = (&self.options, &self.camera, picture.rgb());
-        let (front_end, reduction) = self.at_work.get_or_insert_with(|| begin(options, camera, image, mask));
-        if *reduction == Reduction::None {
+        let (front_end, is_reduced) = self.at_work.get_or_insert_with(|| begin(options, camera, image, mask));
+        if !*is_reduced {
             return front_end.push(frame, picture, mask);
         }
         let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
@@ -62,21 +56,16 @@ impl AnySizeFrontEnd {
     }
 }
 
-fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask) -> (Box<VideoFrontEnd>, Reduction) {
-    let extent = mask.bounding_box().map_or(0, |b| b.width().max(b.height()));
-    let reduction = if extent > MAX_SIDE_PX { Reduction::ToMaxSide } else { Reduction::None };
-    let side = image.width().max(image.height());
-    let side = if reduction == Reduction::ToMaxSide { side.min(MAX_SIDE_PX) } else { side };
+fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask) -> (Box<VideoFrontEnd>, bool) {
+    let is_reduced = mask.bounding_box().is_some_and(|b| b.width().max(b.height()) > MAX_SIDE_PX);
+    let (mut side, mut camera) = (image.width().max(image.height()), *camera);
+    if is_reduced {
+        let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
+        (side, camera) = (side.min(MAX_SIDE_PX), camera.resized(width, height));
+    }
     let more = (f64::from(side) / f64::from(USUAL_SIDE_PX)).log2().ceil().max(0.0) as i32;
     let options = VideoOptions { pyramid_levels: options.pyramid_levels + more, ..options.clone() };
-    let camera = match reduction {
-        Reduction::None => *camera,
-        Reduction::ToMaxSide => {
-            let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
-            camera.resized(width, height)
-        }
-    };
-    (Box::new(VideoFrontEnd::new(options, camera)), reduction)
+    (Box::new(VideoFrontEnd::new(options, camera)), is_reduced)
 }
 
 /// Frame pixels per reduced pixel, across and down.

@@ -17,9 +17,6 @@ use crate::image::{GrayImage, LucasKanade, Pyramid, Returned, borrowed_gray, res
 /// [`FeatureError::OpenCv`] if OpenCV fails.
 pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, FeatureError> {
     const LONGER_SIDE_PX: u32 = 480;
-    const MAX_CORNERS: i32 = 300;
-    const MAX_ROUND_TRIP_PX: f32 = 1.0;
-    const MAX_MOTION_PX: f32 = LONGER_SIDE_PX as f32 / 20.0;
     let small = |image: &GrayImage| {
         let (width, height) = scale_to_fit(image.width(), image.height(), LONGER_SIDE_PX);
         resize_gray(image, width, height)
@@ -32,7 +29,7 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, Feat
     opencv::imgproc::good_features_to_track(
         &borrowed_gray(&first)?,
         &mut corners,
-        MAX_CORNERS,
+        300,
         0.01,
         8.0,
         &Mat::default(),
@@ -45,12 +42,13 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, Feat
     }
     // OpenCV counts from the centre of the first pixel.
     let corners: Vec<Point2<f32>> = corners.iter().map(|corner| Point2::new(corner.x + 0.5, corner.y + 0.5)).collect();
-    const TRACKER: LucasKanade =
+    let tracker =
         LucasKanade { window_radius_px: 7, num_smaller: 3, max_steps: 20, converged_px: 0.03, min_eigenvalue: 1e-3 };
-    let pyramids = (Pyramid::new(first, TRACKER.num_smaller)?, Pyramid::new(second, TRACKER.num_smaller)?);
-    let followed = TRACKER.there_and_back(&pyramids.0, &pyramids.1, &corners, &corners);
+    let pyramids = (Pyramid::new(first, tracker.num_smaller)?, Pyramid::new(second, tracker.num_smaller)?);
+    let followed = tracker.there_and_back(&pyramids.0, &pyramids.1, &corners, &corners);
     let is_near = |(start, followed): &(&Point2<f32>, Option<Returned>)| {
-        followed.is_some_and(|f| f.round_trip_px <= MAX_ROUND_TRIP_PX && (f.position - *start).norm() <= MAX_MOTION_PX)
+        let max_motion_px = LONGER_SIDE_PX as f32 / 20.0;
+        followed.is_some_and(|f| f.round_trip_px <= 1.0 && (f.position - *start).norm() <= max_motion_px)
     };
     let count = corners.iter().zip(followed).filter(is_near).count();
     Ok(count as f64 / corners.len() as f64)

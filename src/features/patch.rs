@@ -120,16 +120,15 @@ impl Patch {
     fn align_within<const SIDE: usize>(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
         // A bound: a patch that has not converged by then is lost.
         const MAX_ITERATIONS: usize = 15;
-        const CONVERGED_PX: f32 = 0.005;
         let mut warp = *start;
         let mut around = Surroundings::<SIDE>::new(image, start, self.radius)?;
         let mut correlation = 0.0;
         for iteration in 0..=MAX_ITERATIONS {
-            let seen = match around.picture(&warp, self.radius) {
-                Some(picture) => self.compare(&picture)?,
+            let seen = match around.sampler(&warp, self.radius) {
+                Some(sampler) => self.compare(&sampler)?,
                 None => {
                     around = Surroundings::new(image, &warp, self.radius)?;
-                    self.compare(&around.picture(&warp, self.radius)?)?
+                    self.compare(&around.sampler(&warp, self.radius)?)?
                 }
             };
             correlation = seen.correlation;
@@ -142,7 +141,7 @@ impl Patch {
             if (warp.center - start.center).norm() > self.radius as f32 * 0.5 {
                 return None;
             }
-            if step.fixed_rows::<2>(4).norm() < CONVERGED_PX {
+            if step.fixed_rows::<2>(4).norm() < 0.005 {
                 // Too short a step to compare again.
                 break;
             }
@@ -163,7 +162,7 @@ impl Patch {
     /// Compares an image with the template, in one pass over the patch; `None` where it has no structure. Gray values
     /// count from the template's mean, which keeps the sums small.
     #[inline(always)]
-    fn compare<const SIDE: usize>(&self, picture: &Picture<'_, SIDE>) -> Option<WarpedPatch> {
+    fn compare<const SIDE: usize>(&self, sampler: &Sampler<'_, SIDE>) -> Option<WarpedPatch> {
         let side = (2 * self.radius + 1) as usize;
         let (padded, num_pixels) = (padded(side), (side * side) as f32);
         let [mut sum, mut sum_sq, mut products] = [[0.0f32; LANES]; 3];
@@ -176,7 +175,7 @@ impl Patch {
                 let lanes = place..place + LANES;
                 let template = &self.normalized[lanes.clone()];
                 let gradient = [&self.gradient[0][lanes.clone()], &self.gradient[1][lanes]];
-                let values = picture.sample(dy, (first as i32 - self.radius) as f32);
+                let values = sampler.sample(dy, (first as i32 - self.radius) as f32);
                 for k in 0..LANES {
                     let is_inside = if first + k < side { 1.0 } else { 0.0 };
                     let value = (values[k] - self.mean) * is_inside;
@@ -282,12 +281,12 @@ impl<const SIDE: usize> Surroundings<SIDE> {
 
     /// The patch under a warp; `None` if it does not lie inside.
     #[inline(always)]
-    fn picture(&self, warp: &Warp, radius: i32) -> Option<Picture<'_, SIDE>> {
+    fn sampler(&self, warp: &Warp, radius: i32) -> Option<Sampler<'_, SIDE>> {
         let [x0, y0, x1, y1] = extent(warp, radius);
         let ([left, top], [cols, rows]) = (self.corner.map(|at| at as f32), self.size.map(|side| side as f32));
         let holds = x0 >= left && y0 >= top && x1 < left + cols - 1.0 && y1 < top + rows - 1.0;
         let values = self.values.as_slice().try_into().ok().filter(|_| holds)?;
-        Some(Picture { values, origin: warp.center - Vector2::new(0.5 + left, 0.5 + top), shape: warp.shape })
+        Some(Sampler { values, origin: warp.center - Vector2::new(0.5 + left, 0.5 + top), shape: warp.shape })
     }
 }
 
@@ -300,14 +299,14 @@ fn extent(warp: &Warp, radius: i32) -> [f32; 4] {
 }
 
 /// An image under a warp that it holds whole.
-struct Picture<'a, const SIDE: usize> {
+struct Sampler<'a, const SIDE: usize> {
     values: &'a [[f32; SIDE]; SIDE],
     /// The patch's centre, in array indices.
     origin: Point2<f32>,
     shape: Matrix2<f32>,
 }
 
-impl<const SIDE: usize> Picture<'_, SIDE> {
+impl<const SIDE: usize> Sampler<'_, SIDE> {
     /// Bilinear samples along a row of the patch, from a column on. What lies beyond the patch may be anything.
     #[inline(always)]
     fn sample(&self, row: f32, column: f32) -> [f32; LANES] {

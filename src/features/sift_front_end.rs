@@ -19,7 +19,6 @@ use crate::checks::{Checked, under, within};
 use crate::features::FeatureError;
 use crate::geometry::two_view::{self, Correspondences};
 use crate::image::{GrayImage, RgbImage, gray_from_rgb};
-use crate::math::seeded_rng;
 use crate::scene::{Frame, Mask};
 
 /// Which pairs of views are matched.
@@ -210,14 +209,8 @@ impl SiftFrontEnd {
             waiting.par_iter().map(|w| extract(&w.image, &w.mask, &self.options.features)).collect();
         for (Waiting { frame, camera, image, .. }, mut features) in waiting.into_iter().zip(found?) {
             self.keep_picture(&image)?;
-            self.views.push(View {
-                image: frame.id.into(),
-                name: frame.name,
-                camera,
-                pixels: features.pixels.clone(),
-                rgb: std::mem::take(&mut features.rgb),
-                whitening: Vec::new(),
-            });
+            let (pixels, rgb) = (features.pixels.clone(), std::mem::take(&mut features.rgb));
+            self.views.push(View { pixels, rgb, ..View::new(&frame, camera) });
             self.features.push(features);
         }
         Ok(())
@@ -283,25 +276,18 @@ impl SiftFrontEnd {
         &self.cameras[self.views[view].camera]
     }
 
-    fn cameras_differ(&self, [first, second]: [usize; 2]) -> bool {
-        self.views[first].camera != self.views[second].camera
-    }
-
     fn verified(&self, views: [usize; 2], normalized: &[Vec<Vector2<f64>>], seed: u64) -> Option<PairMatches> {
         let matches = match_features(&self.features[views[0]], &self.features[views[1]], &self.options.matching);
         if matches.len() < self.options.min_pair_matches {
             return None;
         }
         let side = |s: usize| matches.iter().map(|m| normalized[views[s]][m[s] as usize]).collect::<Vec<_>>();
-        let (first, second) = (side(0), side(1));
-        let pairs = Correspondences { first: &first, second: &second };
-        let stream = (views[0] as u64) << 32 | views[1] as u64;
-        let focal = views.map(|v| self.camera_of(v).mean_focal());
-        let max_error = self.options.max_epipolar_error_px / (focal[0] * focal[1]).sqrt();
-        let inliers = match self.cameras_differ(views) {
-            true => two_view::verify_of_two_cameras(&pairs, max_error, &mut seeded_rng(seed, stream)),
-            false => two_view::verify(&pairs, max_error, &mut seeded_rng(seed, stream)),
-        };
+        let pairs = Correspondences { first: side(0), second: side(1) };
+        let mean_focal = two_view::mean_focal(views.map(|v| self.camera_of(v)));
+        let of_two_cameras = self.views[views[0]].camera != self.views[views[1]].camera;
+        let verify = if of_two_cameras { two_view::verify_of_two_cameras } else { two_view::verify };
+        let max_error = self.options.max_epipolar_error_px / mean_focal;
+        let inliers = verify(&pairs, max_error, &mut two_view::pair_rng(seed, views));
         (inliers.len() >= self.options.min_pair_matches).then(|| PairMatches {
             views: views.map(|v| v as u32),
             matches: inliers.into_iter().map(|i| matches[i]).collect(),

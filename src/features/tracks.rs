@@ -6,7 +6,7 @@ use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use crate::bundle::Whitening;
-use crate::scene::ImageId;
+use crate::scene::{Frame, ImageId};
 
 /// One image's features.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -26,6 +26,12 @@ pub struct View {
 }
 
 impl View {
+    /// A view of a frame without features.
+    pub fn new(frame: &Frame, camera: usize) -> Self {
+        let (pixels, rgb, whitening) = (Vec::new(), Vec::new(), Vec::new());
+        Self { image: frame.id.into(), name: frame.name.clone(), camera, pixels, rgb, whitening }
+    }
+
     /// Whitening of a feature's position error.
     pub fn whitening_of(&self, feature: u32) -> Whitening {
         self.whitening.get(feature as usize).copied().unwrap_or(Whitening::IDENTITY)
@@ -84,13 +90,8 @@ pub struct PairMatches {
 /// A component that holds two features of one view contradicts itself in that view: those features are left out, the
 /// rest of the component stays. Components seen in fewer than `min_length` views are dropped.
 pub fn tracks_from_matches(num_features: &[usize], pairs: &[PairMatches], min_length: usize) -> Vec<Track> {
-    let mut offsets = Vec::with_capacity(num_features.len());
-    let mut total = 0;
-    for n in num_features {
-        offsets.push(total);
-        total += n;
-    }
-    let mut parents: Vec<u32> = (0..total as u32).collect();
+    let offsets: Vec<usize> = num_features.iter().scan(0, |end, n| Some(std::mem::replace(end, *end + n))).collect();
+    let mut parents: Vec<u32> = (0..num_features.iter().sum::<usize>() as u32).collect();
     for pair in pairs {
         for m in &pair.matches {
             let node = |side: usize| (offsets[pair.views[side] as usize] + m[side] as usize) as u32;

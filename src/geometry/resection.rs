@@ -63,9 +63,8 @@ impl Estimator for PoseEstimator<'_> {
     }
 
     fn fit(&self, sample: &[usize], models: &mut Vec<Rigid3>) {
-        let pick = |k: usize| sample[k];
-        let rays = std::array::from_fn(|k| self.rays[pick(k)]);
-        let points = std::array::from_fn(|k| self.data.points[pick(k)]);
+        let rays = std::array::from_fn(|k| self.rays[sample[k]]);
+        let points = std::array::from_fn(|k| self.data.points[sample[k]]);
         models.extend(p3p(&rays, &points));
     }
 

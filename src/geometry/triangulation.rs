@@ -95,14 +95,12 @@ fn inliers_of(views: &[View<'_>], point: Point3<f64>, max_sq: f64) -> Vec<bool> 
 /// which for a video is far in time and so wide in angle.
 fn candidate_pairs(n: usize) -> Vec<(usize, usize)> {
     // Ten pairs, about as many as are tried for longer tracks.
-    const ALL_UP_TO: usize = 5;
-    const SPREAD: usize = 8;
-    if n <= ALL_UP_TO {
+    if n <= 5 {
         return (0..n).flat_map(|i| (i + 1..n).map(move |j| (i, j))).collect();
     }
     let mut pairs = vec![(0, n - 1)];
     let half = n / 2;
-    let step = (half / SPREAD).max(1);
+    let step = (half / 8).max(1);
     pairs.extend((0..n - half).step_by(step).map(|i| (i, i + half)));
     pairs
 }

@@ -1,9 +1,10 @@
 //! Two-view geometry: verification of matches, relative pose, and whether two views can start a reconstruction.
 
-use nalgebra::{Matrix3, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
 use super::solvers::{essential_five_point, homography_from_points};
-use crate::math::{Rigid3, Rng, svd3, upper_median};
+use crate::camera::Camera;
+use crate::math::{Rigid3, Rng, across, seeded_rng, svd3, upper_median};
 use crate::robust::{self, Consensus, Estimator};
 
 /// Relative pose of two calibrated views that see the same points.
@@ -25,11 +26,30 @@ pub struct TwoViewGeometry {
 }
 
 /// Undistorted positions on the plane z = 1 of the same points in two views; both lists have one length.
-pub struct Correspondences<'a> {
+pub struct Correspondences {
     /// First view.
-    pub first: &'a [Vector2<f64>],
+    pub first: Vec<Vector2<f64>>,
     /// Second view.
-    pub second: &'a [Vector2<f64>],
+    pub second: Vec<Vector2<f64>>,
+}
+
+impl Correspondences {
+    /// From the pixels of each point in both views, and the cameras of these.
+    pub fn new([a, b]: [&Camera; 2], pixels: impl IntoIterator<Item = [Point2<f64>; 2]>) -> Self {
+        let normalized = |[p, q]: [Point2<f64>; 2]| (a.normalized_from_pixel(p), b.normalized_from_pixel(q));
+        let (first, second) = pixels.into_iter().map(normalized).unzip();
+        Self { first, second }
+    }
+}
+
+/// Geometric mean of the focal lengths of two cameras: pixels per normalised unit of their [`Correspondences`].
+pub fn mean_focal([first, second]: [&Camera; 2]) -> f64 {
+    (first.mean_focal() * second.mean_focal()).sqrt()
+}
+
+/// Random numbers for a pair of views.
+pub fn pair_rng(seed: u64, [first, second]: [usize; 2]) -> Rng {
+    seeded_rng(seed, (first as u64) << 32 | second as u64)
 }
 
 /// Finds the relative pose by five-point LO-RANSAC on the Sampson distance.
@@ -37,13 +57,13 @@ pub struct Correspondences<'a> {
 /// * `max_error` – threshold in normalised units: pixels over the focal length.
 ///
 /// `None` when no essential matrix is supported by more than its own sample.
-pub fn estimate(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Option<TwoViewGeometry> {
+pub fn estimate(pairs: &Correspondences, max_error: f64, rng: &mut Rng) -> Option<TwoViewGeometry> {
     estimate_with(pairs, max_error, 0, rng)
 }
 
 /// The same where a pose with fewer than `least_inliers` is of no use: it may be another one than the best, or none.
 pub fn estimate_with(
-    pairs: &Correspondences<'_>,
+    pairs: &Correspondences,
     max_error: f64,
     least_inliers: usize,
     rng: &mut Rng,
@@ -68,14 +88,14 @@ pub fn estimate_with(
 
 /// Which correspondences agree with one epipolar geometry: what is left of raw matches after verification. Empty when
 /// there is none.
-pub fn verify(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec<usize> {
+pub fn verify(pairs: &Correspondences, max_error: f64, rng: &mut Rng) -> Vec<usize> {
     let options = robust::Options { max_iterations: 1000, ..robust::Options::with_max_error(max_error) };
     robust::ransac(&EssentialEstimator(pairs), &options, rng).map(|c| c.inliers).unwrap_or_default()
 }
 
 /// Number of correspondences that agree with the epipolar geometry of a given motion; `None` for a motion without a
 /// translation, which has none.
-pub fn num_explained(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, max_error: f64) -> Option<usize> {
+pub fn num_explained(pairs: &Correspondences, cam2_from_cam1: &Rigid3, max_error: f64) -> Option<usize> {
     let direction = cam2_from_cam1.translation.try_normalize(f64::EPSILON)?;
     let essential = essential_from_pose(&Rigid3::new(cam2_from_cam1.rotation, direction));
     let estimator = EssentialEstimator(pairs);
@@ -86,19 +106,17 @@ pub fn num_explained(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, max_e
 /// As [`verify`] for two cameras whose focal lengths may be known to a third only, each wrong in its own way: a common
 /// factor bends an epipolar geometry little, a ratio much, so that several ratios are tried and the one that explains
 /// most is taken.
-pub fn verify_of_two_cameras(pairs: &Correspondences<'_>, max_error: f64, rng: &mut Rng) -> Vec<usize> {
-    // With fewer inliers an error of the ratio may be the cause, and the others are tried.
-    const GOOD_SHARE: f64 = 0.7;
-    const RATIOS: [f64; 4] = [0.75, 4.0 / 3.0, 0.5625, 16.0 / 9.0];
+pub fn verify_of_two_cameras(pairs: &Correspondences, max_error: f64, rng: &mut Rng) -> Vec<usize> {
     let mut best = verify(pairs, max_error, rng);
-    for ratio in RATIOS {
-        if best.len() as f64 >= GOOD_SHARE * pairs.first.len() as f64 {
+    for ratio in [0.75_f64, 4.0 / 3.0, 0.5625, 16.0 / 9.0] {
+        // With fewer inliers an error of the ratio may be the cause, and the others are tried.
+        if best.len() as f64 >= 0.7 * pairs.first.len() as f64 {
             break;
         }
         // Half of it on either side, so that errors of both count as before.
         let scaled = |side: &[Vector2<f64>], factor: f64| side.iter().map(|p| p * factor).collect::<Vec<_>>();
-        let (first, second) = (scaled(pairs.first, ratio.sqrt()), scaled(pairs.second, ratio.sqrt().recip()));
-        let found = verify(&Correspondences { first: &first, second: &second }, max_error, rng);
+        let (first, second) = (scaled(&pairs.first, ratio.sqrt()), scaled(&pairs.second, ratio.sqrt().recip()));
+        let found = verify(&Correspondences { first, second }, max_error, rng);
         if found.len() > best.len() {
             best = found;
         }
@@ -107,7 +125,7 @@ pub fn verify_of_two_cameras(pairs: &Correspondences<'_>, max_error: f64, rng: &
 }
 
 /// Midpoint of the shortest segment between two rays, in the first camera; `None` for parallel rays.
-fn midpoint(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> Option<Point3<f64>> {
+fn midpoint(pairs: &Correspondences, cam2_from_cam1: &Rigid3, i: usize) -> Option<Point3<f64>> {
     let ray1 = pairs.first[i].push(1.0);
     let ray2 = cam2_from_cam1.rotation.inverse() * pairs.second[i].push(1.0);
     let center2 = cam2_from_cam1.center().coords;
@@ -121,13 +139,13 @@ fn midpoint(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> O
     (s > 0.0 && t > 0.0).then(|| Point3::from((ray1 * s + center2 + ray2 * t) / 2.0))
 }
 
-fn ray_angle(pairs: &Correspondences<'_>, cam2_from_cam1: &Rigid3, i: usize) -> Option<f64> {
+fn ray_angle(pairs: &Correspondences, cam2_from_cam1: &Rigid3, i: usize) -> Option<f64> {
     let point = midpoint(pairs, cam2_from_cam1, i)?;
     Some(point.coords.angle(&(point - cam2_from_cam1.center())))
 }
 
 /// Of the four poses of an essential matrix, the one that puts most inliers in front of both cameras.
-fn pose_in_front(pairs: &Correspondences<'_>, essential: &Consensus<Matrix3<f64>>) -> Option<(Rigid3, Vec<usize>)> {
+fn pose_in_front(pairs: &Correspondences, essential: &Consensus<Matrix3<f64>>) -> Option<(Rigid3, Vec<usize>)> {
     poses_from_essential(&essential.model)?
         .into_iter()
         .map(|pose| {
@@ -168,15 +186,21 @@ fn poses_from_essential(essential: &Matrix3<f64>) -> Option<[Rigid3; 4]> {
     ])
 }
 
-struct EssentialEstimator<'a>(&'a Correspondences<'a>);
+/// Sampson's first-order distance of two positions to the epipolar constraint, signed.
+#[inline]
+pub fn sampson_distance(essential: &Matrix3<f64>, first: &Vector2<f64>, second: &Vector2<f64>) -> f64 {
+    let (p, q) = (first.push(1.0), second.push(1.0));
+    let (line2, line1) = (essential * p, essential.tr_mul(&q));
+    let gradient_sq = line2.xy().norm_squared() + line1.xy().norm_squared();
+    if gradient_sq > 0.0 { q.dot(&line2) / gradient_sq.sqrt() } else { f64::INFINITY }
+}
+
+struct EssentialEstimator<'a>(&'a Correspondences);
 
 impl EssentialEstimator<'_> {
-    /// Sampson's first-order distance to the epipolar constraint, signed.
+    #[inline]
     fn sampson(&self, essential: &Matrix3<f64>, i: usize) -> f64 {
-        let (p, q) = (self.0.first[i].push(1.0), self.0.second[i].push(1.0));
-        let (line2, line1) = (essential * p, essential.tr_mul(&q));
-        let gradient_sq = line2.xy().norm_squared() + line1.xy().norm_squared();
-        if gradient_sq > 0.0 { q.dot(&line2) / gradient_sq.sqrt() } else { f64::INFINITY }
+        sampson_distance(essential, &self.0.first[i], &self.0.second[i])
     }
 }
 
@@ -191,7 +215,7 @@ impl Estimator for EssentialEstimator<'_> {
 
     fn fit(&self, sample: &[usize], models: &mut Vec<Matrix3<f64>>) {
         let rays = |points: &[Vector2<f64>]| std::array::from_fn(|k| points[sample[k]].push(1.0));
-        models.extend(essential_five_point(&rays(self.0.first), &rays(self.0.second)));
+        models.extend(essential_five_point(&rays(&self.0.first), &rays(&self.0.second)));
     }
 
     fn error_sq(&self, essential: &Matrix3<f64>, datum: usize) -> f64 {
@@ -201,11 +225,10 @@ impl Estimator for EssentialEstimator<'_> {
     /// Gauss-Newton on the five degrees of freedom of (R, t / ‖t‖), derivatives by differences: linear eight-point
     /// refinement would fail on planar scenes.
     fn refine(&self, essential: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
-        // Gauss–Newton converges quadratically from a RANSAC result.
-        const ROUNDS: usize = 3;
         const STEP: f64 = 1e-7;
         let mut pose = poses_from_essential(essential)?[0];
-        for _ in 0..ROUNDS {
+        // Gauss–Newton converges quadratically from a RANSAC result.
+        for _ in 0..3 {
             let current = essential_from_pose(&pose);
             let moved: [Matrix3<f64>; 5] = std::array::from_fn(|k| {
                 let mut delta = SVector::<f64, 5>::zeros();
@@ -236,13 +259,11 @@ fn essential_from_pose(pose: &Rigid3) -> Matrix3<f64> {
 fn perturbed(pose: &Rigid3, delta: &SVector<f64, 5>) -> Rigid3 {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[0], delta[1], delta[2]));
     let t = pose.translation;
-    let helper = if t.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
-    let a = t.cross(&helper).normalize();
-    let b = t.cross(&a);
+    let [a, b] = across(&t);
     Rigid3::new(turn * pose.rotation, (t + a * delta[3] + b * delta[4]).normalize())
 }
 
-struct HomographyEstimator<'a>(&'a Correspondences<'a>);
+struct HomographyEstimator<'a>(&'a Correspondences);
 
 impl Estimator for HomographyEstimator<'_> {
     type Model = Matrix3<f64>;
@@ -264,14 +285,13 @@ impl Estimator for HomographyEstimator<'_> {
 
     fn refine(&self, _: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
         let pick = |points: &[Vector2<f64>]| inliers.iter().map(|&i| points[i]).collect::<Vec<_>>();
-        homography_from_points(&pick(self.0.first), &pick(self.0.second))
+        homography_from_points(&pick(&self.0.first), &pick(&self.0.second))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::math::seeded_rng;
     use rand::Rng as _;
 
     /// Points in a box before two cameras, as seen by both, with outliers at the end.
@@ -298,7 +318,7 @@ mod tests {
         let t = Vector3::new(1.0, 0.1, 0.2).normalize();
         let truth = Rigid3::new(UnitQuaternion::from_euler_angles(0.05, -0.1, 0.02), t);
         let (first, second) = views(&truth, false, 100);
-        let pairs = Correspondences { first: &first, second: &second };
+        let pairs = Correspondences { first, second };
         let found = estimate(&pairs, 1e-3, &mut seeded_rng(1, 0)).unwrap();
         assert!(found.cam2_from_cam1.angle_to(&truth) < 1e-4);
         assert!((found.cam2_from_cam1.translation - t).norm() < 1e-3);
@@ -310,7 +330,7 @@ mod tests {
     fn another_motion_explains_less() {
         let truth = Rigid3::new(UnitQuaternion::from_euler_angles(0.05, -0.1, 0.02), Vector3::new(1.0, 0.1, 0.2));
         let (first, second) = views(&truth, false, 100);
-        let pairs = Correspondences { first: &first, second: &second };
+        let pairs = Correspondences { first, second };
         let count = |motion: &Rigid3| num_explained(&pairs, motion, 1e-3);
         assert!((200..220).contains(&count(&truth).unwrap()));
         let off = Rigid3::new(truth.rotation, truth.translation + Vector3::new(0.0, 0.3, 0.0));
@@ -322,11 +342,11 @@ mod tests {
     fn planes_and_pure_rotations_show_in_the_homography_ratio() {
         let planar = Rigid3::new(UnitQuaternion::identity(), Vector3::x());
         let (first, second) = views(&planar, true, 0);
-        let pairs = Correspondences { first: &first, second: &second };
+        let pairs = Correspondences { first, second };
         assert!(estimate(&pairs, 1e-3, &mut seeded_rng(1, 0)).unwrap().homography_ratio > 0.95);
         let turned = Rigid3::new(UnitQuaternion::from_euler_angles(0.0, 0.2, 0.0), Vector3::zeros());
         let (first, second) = views(&turned, false, 0);
-        let pairs = Correspondences { first: &first, second: &second };
+        let pairs = Correspondences { first, second };
         if let Some(found) = estimate(&pairs, 1e-3, &mut seeded_rng(1, 0)) {
             assert!(found.homography_ratio > 0.95);
         }

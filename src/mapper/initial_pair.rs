@@ -2,14 +2,14 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Vector2;
+use nalgebra::Point2;
 
 use super::motion::{self, PairMotion, Survey};
 use super::{Intrinsics, KnownIntrinsics, Options};
 use crate::camera::Camera;
-use crate::features::tracks::TrackTable;
+use crate::features::tracks::{Feature, Track, TrackTable, View};
 use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
-use crate::math::{Rigid3, seeded_rng, upper_median};
+use crate::math::{Rigid3, upper_median};
 
 /// A candidate start.
 #[derive(Clone, Debug)]
@@ -73,20 +73,17 @@ pub fn ranked(
 /// Inliers count up to a number that determines the geometry well, angles up to the wanted one; a start that one
 /// homography explains is worth a fraction.
 fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
-    // Beyond, the angle decides, not the number.
-    const ENOUGH_INLIERS: f64 = 300.0;
-    const PLANAR_DISCOUNT: f64 = 0.7;
-    let inliers = (geometry.inliers.len() as f64).min(ENOUGH_INLIERS).sqrt();
+    // Beyond 300 the angle decides, not the number.
+    let inliers = (geometry.inliers.len() as f64).min(300.0).sqrt();
     let angle = geometry.median_angle.to_degrees().min(options.initial_angle_deg);
-    inliers * angle * (1.0 - PLANAR_DISCOUNT * geometry.homography_ratio.min(1.0))
+    inliers * angle * (1.0 - 0.7 * geometry.homography_ratio.min(1.0))
 }
 
 /// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of
 /// a single camera, which a common factor does little harm.
 fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
     // A pair of one camera wins unless it has a quarter of the inliers.
-    const OF_TWO_GUESSED: f64 = 0.5;
-    if first != second && intrinsics.focal >= Intrinsics::GUESSED.focal { OF_TWO_GUESSED } else { 1.0 }
+    if first != second && intrinsics.focal >= Intrinsics::GUESSED.focal { 0.5 } else { 1.0 }
 }
 
 type PairTracks = ([usize; 2], Vec<usize>);
@@ -137,8 +134,7 @@ pub fn is_still(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views:
 fn median_displacement(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> Option<f64> {
     let [first, second] = views.map(|view| table.views[view].camera);
     let displacement = |&track: &usize| {
-        let [a, b] = views.map(|view| table.tracks[track].iter().find(|f| f.view as usize == view).copied());
-        let (a, b) = (table.pixel(a?), table.pixel(b?));
+        let [a, b] = pixels_in(&table.views, &table.tracks[track], views)?;
         if first == second {
             return Some((a - b).norm());
         }
@@ -157,16 +153,30 @@ pub fn geometry_of(
     views: [usize; 2],
     tracks: &[usize],
 ) -> Option<TwoViewGeometry> {
-    let camera = |side: usize| &cameras[table.views[views[side]].camera];
-    let normalized = |side: usize| -> Vec<Vector2<f64>> {
-        let feature = |t: &usize| table.tracks[*t].iter().find(|f| f.view as usize == views[side]).copied();
-        tracks.iter().filter_map(feature).map(|f| camera(side).normalized_from_pixel(table.pixel(f))).collect()
+    let (pairs, mean_focal) = correspondences(&table.views, &table.tracks, cameras, views, tracks);
+    two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut two_view::pair_rng(seed, views))
+}
+
+/// Positions in two views of the tracks that they have in common, and the geometric mean of the focal lengths.
+pub fn correspondences(
+    views: &[View],
+    tracks: &[Track],
+    cameras: &[Camera],
+    pair: [usize; 2],
+    common: &[usize],
+) -> (Correspondences, f64) {
+    let cameras = pair.map(|view| &cameras[views[view].camera]);
+    let pixels = common.iter().filter_map(|&track| pixels_in(views, &tracks[track], pair));
+    (Correspondences::new(cameras, pixels), two_view::mean_focal(cameras))
+}
+
+/// Where two views show a track.
+fn pixels_in(views: &[View], track: &[Feature], pair: [usize; 2]) -> Option<[Point2<f64>; 2]> {
+    let pixel = |view: usize| {
+        let feature = track.iter().find(|f| f.view as usize == view)?;
+        Some(views[view].pixels[feature.feature as usize])
     };
-    let (first, second) = (normalized(0), normalized(1));
-    let mean_focal = (camera(0).mean_focal() * camera(1).mean_focal()).sqrt();
-    let stream = (views[0] as u64) << 32 | views[1] as u64;
-    let pairs = Correspondences { first: &first, second: &second };
-    two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut seeded_rng(seed, stream))
+    Some([pixel(pair[0])?, pixel(pair[1])?])
 }
 
 /// The same pairs in another order: first the best of every neighbourhood, best first, then all others. Two pairs are
@@ -185,11 +195,9 @@ pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<In
 
 /// Leaves out a pair when a better one lies within two views of it on both sides: a second start should differ.
 fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
-    // Frames so near to one another see the same and give the same start.
-    const NEAR: usize = 2;
     let mut kept: Vec<InitialPair> = Vec::new();
     for pair in pairs {
-        let near = |other: &InitialPair| (0..2).all(|side| other.views[side].abs_diff(pair.views[side]) <= NEAR);
+        let near = |other: &InitialPair| (0..2).all(|side| other.views[side].abs_diff(pair.views[side]) <= 2);
         if !kept.iter().any(near) {
             kept.push(pair);
         }
@@ -200,7 +208,6 @@ fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::features::tracks::{Feature, View};
     use crate::scene::ImageId;
 
     #[test]

@@ -20,11 +20,10 @@
 
 use std::collections::BTreeSet;
 
-use nalgebra::Vector2;
-
+use super::initial_pair::correspondences;
 use super::map::Map;
 use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
-use crate::math::{Rng, seeded_rng};
+use crate::math::Rng;
 
 /// Pairs that are looked at, of those that share most points with a view.
 const MAX_PARTNERS: usize = 10;
@@ -93,9 +92,9 @@ impl ViewGraph {
     }
 
     /// Tracks that two views have in common.
-    fn common(&self, [a, b]: [usize; 2]) -> Vec<u32> {
+    fn common(&self, [a, b]: [usize; 2]) -> Vec<usize> {
         let seen_by_b = |track: &&u32| self.tracks_of[b].binary_search(track).is_ok();
-        self.tracks_of[a].iter().filter(seen_by_b).copied().collect()
+        self.tracks_of[a].iter().filter(seen_by_b).map(|&track| track as usize).collect()
     }
 
     /// Verdicts of pairs of registered views; only of those of one view, where it is given.
@@ -107,8 +106,8 @@ impl ViewGraph {
             .iter()
             .filter(|views| wanted(views))
             .filter_map(|views| {
-                let tracks = self.common(*views);
-                let said = [self.opinion(map, *views, &tracks), self.fine_opinion(map, *views, &tracks)];
+                let common = self.common(*views);
+                let said = [self.opinion(map, *views, &common), self.fine_opinion(map, *views, &common)];
                 // What speaks against the map goes before what speaks for it.
                 said.into_iter().flatten().max_by_key(|opinion| (opinion.contradicting, opinion.agreeing))
             })
@@ -117,26 +116,20 @@ impl ViewGraph {
 
     /// Compares the epipolar geometry of the map with the one that two views have by themselves, by the tracks that
     /// each explains at the map's noise.
-    fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<PairVerdict> {
-        let max_error_px = self.thresholds.fine_px?;
-        let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
+    fn fine_opinion(&self, map: &Map<'_>, views: [usize; 2], common: &[usize]) -> Option<PairVerdict> {
         let (first, second) = (map.poses[views[0]]?, map.poses[views[1]]?);
-        let in_map = second * first.inverse();
-        let explained = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, _| {
-            two_view::num_explained(pairs, &in_map, max_error)
-        })?;
+        let (pairs, max_error, mut rng) = self.pair(map, views, common, self.thresholds.fine_px?);
+        let explained = two_view::num_explained(&pairs, &(second * first.inverse()), max_error)?;
         if explained as f64 >= FINE_SHARE * common.len() as f64 {
             return Some(PairVerdict { views, agreeing: explained, contradicting: 0 });
         }
-        let by_itself = self.on_pair(map, views, &common, max_error_px, |pairs, max_error, rng| {
-            two_view::verify(pairs, max_error, rng).len()
-        });
+        let by_itself = two_view::verify(&pairs, max_error, &mut rng).len();
         let contradicts = by_itself >= MIN_COMMON && (explained as f64) < FINE_SHARE * by_itself as f64;
         contradicts.then_some(PairVerdict { views, agreeing: 0, contradicting: by_itself - explained })
     }
 
-    fn opinion(&self, map: &Map<'_>, views: [usize; 2], tracks: &[u32]) -> Option<PairVerdict> {
-        let common: Vec<usize> = tracks.iter().map(|&t| t as usize).collect();
+    fn opinion(&self, map: &Map<'_>, views: [usize; 2], common: &[usize]) -> Option<PairVerdict> {
+        let max_error_px = self.thresholds.max_error_px;
         let known: Vec<usize> = common.iter().copied().filter(|&t| map.point(t).is_some()).collect();
         let fits = known.iter().filter(|&&t| views.iter().all(|&v| self.fits(map, t, v))).count();
         let is_share = |share: f64, of: &[usize]| fits as f64 >= share * of.len() as f64;
@@ -144,13 +137,15 @@ impl ViewGraph {
         let needed = MIN_COMMON.max(2 * fits);
         let contradicts =
             |points: usize| (points >= needed).then_some(PairVerdict { views, agreeing: 0, contradicting: points });
-        if known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, &common) {
+        if known.len() >= MIN_COMMON && is_share(AGREEING_SHARE, common) {
             return agrees;
         }
         if known.len() >= MIN_COMMON && !is_share(CONTRADICTING_SHARE, &known) {
-            return contradicts(self.epipolar_inliers(map, views, &known));
+            let (pairs, max_error, mut rng) = self.pair(map, views, &known, max_error_px);
+            return contradicts(two_view::verify(&pairs, max_error, &mut rng).len());
         }
-        let by_itself = self.motion_by_itself(map, views, &common, needed);
+        let (pairs, max_error, mut rng) = self.pair(map, views, common, max_error_px);
+        let by_itself = two_view::estimate_with(&pairs, max_error, needed, &mut rng);
         if let Some(found) = by_itself.filter(|found| contradicted_by(map, views, found)) {
             return contradicts(found.inliers.len());
         }
@@ -165,45 +160,16 @@ impl ViewGraph {
             .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.thresholds.max_error_px)
     }
 
-    /// Number of tracks that one epipolar geometry of the two views explains.
-    fn epipolar_inliers(&self, map: &Map<'_>, views: [usize; 2], tracks: &[usize]) -> usize {
-        let max_error_px = self.thresholds.max_error_px;
-        self.on_pair(map, views, tracks, max_error_px, |pairs, max_error, rng| {
-            two_view::verify(pairs, max_error, rng).len()
-        })
-    }
-
-    /// The motion between two views that most of the tracks agree on, where these are as many as `needed`.
-    fn motion_by_itself(
+    /// Tracks that two views have in common, a threshold in their units, and random numbers.
+    fn pair(
         &self,
         map: &Map<'_>,
         views: [usize; 2],
-        tracks: &[usize],
-        needed: usize,
-    ) -> Option<TwoViewGeometry> {
-        self.on_pair(map, views, tracks, self.thresholds.max_error_px, |pairs, max_error, rng| {
-            two_view::estimate_with(pairs, max_error, needed, rng)
-        })
-    }
-
-    fn on_pair<T>(
-        &self,
-        map: &Map<'_>,
-        views: [usize; 2],
-        tracks: &[usize],
+        common: &[usize],
         max_error_px: f64,
-        ask: impl Fn(&Correspondences<'_>, f64, &mut Rng) -> T,
-    ) -> T {
-        let normalized = |view: usize| -> Vec<Vector2<f64>> {
-            let feature = |t: &usize| map.table.tracks[*t].iter().find(|f| f.view as usize == view);
-            let camera = map.camera_of(view);
-            tracks.iter().filter_map(feature).map(|f| camera.normalized_from_pixel(map.table.pixel(*f))).collect()
-        };
-        let (first, second) = (normalized(views[0]), normalized(views[1]));
-        let mean_focal = (map.camera_of(views[0]).mean_focal() * map.camera_of(views[1]).mean_focal()).sqrt();
-        let stream = (views[0] as u64) << 32 | views[1] as u64;
-        let pairs = Correspondences { first: &first, second: &second };
-        ask(&pairs, max_error_px / mean_focal, &mut seeded_rng(self.seed, stream))
+    ) -> (Correspondences, f64, Rng) {
+        let (pairs, mean_focal) = correspondences(map.table.views, &map.table.tracks, &map.cameras, views, common);
+        (pairs, max_error_px / mean_focal, two_view::pair_rng(self.seed, views))
     }
 }
 
@@ -211,19 +177,13 @@ impl ViewGraph {
 /// or in its direction where the triangulation angle determines it. On a plane, where two motions explain the same
 /// points, there is no verdict.
 fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -> bool {
-    // Well above what two-view rotations err by with the required inliers.
-    const MAX_TURN_DEG: f64 = 3.0;
-    const MAX_DIRECTION_DEG: f64 = 25.0;
-    const MIN_ANGLE_DEG: f64 = 2.0;
-    const PLANAR: f64 = 0.8;
     let (Some(first), Some(second)) = (map.poses[a], map.poses[b]) else { return false };
-    if found.homography_ratio > PLANAR {
-        return false;
-    }
     let in_map = second * first.inverse();
-    let turn = in_map.rotation.angle_to(&found.cam2_from_cam1.rotation).to_degrees();
-    let direction = in_map.translation.angle(&found.cam2_from_cam1.translation).to_degrees();
-    turn > MAX_TURN_DEG || (found.median_angle.to_degrees() >= MIN_ANGLE_DEG && direction > MAX_DIRECTION_DEG)
+    let turn_deg = in_map.rotation.angle_to(&found.cam2_from_cam1.rotation).to_degrees();
+    let direction_deg = in_map.translation.angle(&found.cam2_from_cam1.translation).to_degrees();
+    let is_planar = found.homography_ratio > 0.8;
+    // Well above what two-view rotations err by with the required inliers.
+    !is_planar && (turn_deg > 3.0 || (found.median_angle.to_degrees() >= 2.0 && direction_deg > 25.0))
 }
 
 /// Points for and against a view.

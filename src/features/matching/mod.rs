@@ -47,10 +47,9 @@ impl Best {
         let distance =
             |product: i16| (2.0 - 2.0 * f32::from(product) / (DESCRIPTOR_NORM * DESCRIPTOR_NORM)).max(0.0).sqrt();
         let first = distance(self.first);
-        // Two candidates at distance nought are twins, whatever their rounding says.
-        const TWIN: f32 = 0.02;
         let second = distance(self.second);
-        first <= options.max_distance && first <= options.max_ratio * second && second > TWIN
+        // Two candidates at distance nought are twins, whatever their rounding says.
+        first <= options.max_distance && first <= options.max_ratio * second && second > 0.02
     }
 }
 

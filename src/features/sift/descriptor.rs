@@ -66,17 +66,15 @@ pub(super) fn describe(layer: &Plane, place: &ScaleSpacePosition) -> (f32, [f32;
 /// Unit length, no entry above a fifth: strong single gradients (lights, edges of shadows) do not outvote the rest.
 fn limited(values: &mut [f32; DESCRIPTOR_LEN]) {
     // Lowe, Distinctive image features from scale-invariant keypoints, 2004, section 6.1.
-    const LARGEST: f32 = 0.2;
     let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
-    values.iter_mut().for_each(|v| *v = (*v / norm).min(LARGEST));
+    values.iter_mut().for_each(|v| *v = (*v / norm).min(0.2));
 }
 
 /// The most frequent gradient direction round a keypoint, radians.
 fn dominant_direction(layer: &Plane, place: &ScaleSpacePosition) -> f32 {
     // Bins of ten degrees (Lowe 2004, section 5).
     const BINS: usize = 36;
-    const WINDOW_SIGMAS: f32 = 1.5;
-    let sigma = WINDOW_SIGMAS * place.sigma;
+    let sigma = 1.5 * place.sigma;
     let mut histogram = [0.0f32; BINS];
     for_each_gradient(layer, place, 3.0 * sigma, |dx, dy, gx, gy| {
         let distance_sq = (dx * dx + dy * dy) / (2.0 * sigma * sigma);
@@ -128,9 +126,8 @@ fn for_each_gradient(layer: &Plane, place: &ScaleSpacePosition, reach: f32, mut 
 fn window(x: f32) -> f32 {
     // (1 − x/16)¹⁶
     let base = (1.0 - x * (1.0 / 16.0)).max(0.0);
-    let (square, fourth);
-    square = base * base;
-    fourth = square * square;
+    let square = base * base;
+    let fourth = square * square;
     let eighth = fourth * fourth;
     eighth * eighth
 }

@@ -94,12 +94,11 @@ fn refined(
     index: usize,
     min_contrast: f32,
 ) -> Option<Keypoint> {
-    // As in OpenCV's and VLFeat's implementations.
-    const MAX_MOVES: usize = 5;
     let (width, height) = (octave.layers[0].width, octave.layers[0].height);
-    for _ in 0..MAX_MOVES {
+    // As often as in OpenCV's and VLFeat's implementations.
+    for _ in 0..5 {
         let cube = Cube::at(&octave.layers, layer, y, x);
-        let offset = -cube.hessian().lu().solve(&cube.gradient)?;
+        let offset = -cube.hessian.lu().solve(&cube.gradient)?;
         if !offset.iter().all(|o| o.abs() < 3.0) {
             return None;
         }
@@ -133,10 +132,7 @@ fn refined(
 struct Cube {
     value: f32,
     gradient: Vector3<f32>,
-    second: [f32; 3],
-    xy: f32,
-    xz: f32,
-    yz: f32,
+    hessian: Matrix3<f32>,
 }
 
 impl Cube {
@@ -153,26 +149,17 @@ impl Cube {
             0.5 * (d(1, 0, 0) - d(-1, 0, 0)),
         );
         let twice = 2.0 * value;
-        let second =
+        let [xx, yy, zz] =
             [d(0, 0, 1) + d(0, 0, -1) - twice, d(0, 1, 0) + d(0, -1, 0) - twice, d(1, 0, 0) + d(-1, 0, 0) - twice];
-        Self {
-            value,
-            gradient,
-            second,
-            xy: 0.25 * (d(0, 1, 1) - d(0, 1, -1) - d(0, -1, 1) + d(0, -1, -1)),
-            xz: 0.25 * (d(1, 0, 1) - d(1, 0, -1) - d(-1, 0, 1) + d(-1, 0, -1)),
-            yz: 0.25 * (d(1, 1, 0) - d(1, -1, 0) - d(-1, 1, 0) + d(-1, -1, 0)),
-        }
-    }
-
-    fn hessian(&self) -> Matrix3<f32> {
-        let [xx, yy, zz] = self.second;
-        Matrix3::new(xx, self.xy, self.xz, self.xy, yy, self.yz, self.xz, self.yz, zz)
+        let xy = 0.25 * (d(0, 1, 1) - d(0, 1, -1) - d(0, -1, 1) + d(0, -1, -1));
+        let xz = 0.25 * (d(1, 0, 1) - d(1, 0, -1) - d(-1, 0, 1) + d(-1, 0, -1));
+        let yz = 0.25 * (d(1, 1, 0) - d(1, -1, 0) - d(-1, 1, 0) + d(-1, -1, 0));
+        Self { value, gradient, hessian: Matrix3::new(xx, xy, xz, xy, yy, yz, xz, yz, zz) }
     }
 
     fn is_edge(&self) -> bool {
-        let [xx, yy, _] = self.second;
-        let (trace, determinant) = (xx + yy, xx * yy - self.xy * self.xy);
+        let [xx, yy, xy] = [self.hessian.m11, self.hessian.m22, self.hessian.m12];
+        let (trace, determinant) = (xx + yy, xx * yy - xy * xy);
         let limit = (MAX_EDGE_RATIO + 1.0).powi(2) / MAX_EDGE_RATIO;
         determinant <= 0.0 || trace * trace >= limit * determinant
     }

@@ -131,31 +131,33 @@ fn convolve(source: &Plane, kernel: &[f32], out: &mut [f32]) {
 /// `out[x] = kernel[0] · c[x] + Σ kernel[k] · (a[x] + b[x])`, where `sides(k, x)` gives a and b from x on.
 #[inline(always)]
 fn weighted<'a>(out: &mut [f32], kernel: &[f32], sides: impl Fn(usize, usize) -> (&'a [f32], &'a [f32])) {
-    let mut x = 0;
-    while x < out.len() {
-        if let Some(out) = out[x..].first_chunk_mut::<CHUNK>() {
-            let mut sum = [0.0f32; CHUNK];
-            for (k, weight) in kernel.iter().enumerate() {
-                let (a, b) = sides(k, x);
-                let weight = if k == 0 { 0.5 * weight } else { *weight };
-                let (Some(a), Some(b)) = (a.first_chunk::<CHUNK>(), b.first_chunk::<CHUNK>()) else { return };
-                for j in 0..CHUNK {
-                    sum[j] += weight * (a[j] + b[j]);
-                }
-            }
-            *out = sum;
-            x += CHUNK;
-        } else {
-            let mut sum = 0.0;
-            for (k, weight) in kernel.iter().enumerate() {
-                let (a, b) = sides(k, x);
-                let weight = if k == 0 { 0.5 * weight } else { *weight };
-                sum += weight * (a[0] + b[0]);
-            }
-            out[x] = sum;
-            x += 1;
+    let (chunks, rest) = out.as_chunks_mut::<CHUNK>();
+    let first_of_rest = chunks.len() * CHUNK;
+    for (index, chunk) in chunks.iter_mut().enumerate() {
+        *chunk = weighted_at(index * CHUNK, kernel, &sides);
+    }
+    for (x, value) in (first_of_rest..).zip(rest) {
+        [*value] = weighted_at(x, kernel, &sides);
+    }
+}
+
+/// The same of N values from x on.
+#[inline(always)]
+fn weighted_at<'a, const N: usize>(
+    x: usize,
+    kernel: &[f32],
+    sides: &impl Fn(usize, usize) -> (&'a [f32], &'a [f32]),
+) -> [f32; N] {
+    let mut sum = [0.0f32; N];
+    for (k, weight) in kernel.iter().enumerate() {
+        let (a, b) = sides(k, x);
+        let weight = if k == 0 { 0.5 * weight } else { *weight };
+        let (Some(a), Some(b)) = (a.first_chunk::<N>(), b.first_chunk::<N>()) else { return sum };
+        for j in 0..N {
+            sum[j] += weight * (a[j] + b[j]);
         }
     }
+    sum
 }
 
 #[cfg(test)]

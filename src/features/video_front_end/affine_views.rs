@@ -157,16 +157,8 @@ fn affine(linear: Matrix2<f64>, shift: Vector2<f64>) -> Matrix2x3<f64> {
 }
 
 fn features(picture: &GrayImage, mask: &Mask, doubled: bool) -> Result<Features, FeatureError> {
-    const MAX_FEATURES: usize = 1500;
-    const BORDER_PX: u32 = 1;
-    const ENLARGE_BELOW_PX: u32 = 200;
-    let options = FeatureOptions {
-        max_features: MAX_FEATURES,
-        border_px: BORDER_PX,
-        enlarge_below_px: ENLARGE_BELOW_PX,
-        doubled,
-        ..FeatureOptions::object()
-    };
+    let options =
+        FeatureOptions { max_features: 1500, border_px: 1, enlarge_below_px: 200, doubled, ..FeatureOptions::object() };
     extract_gray(picture, mask, &options)
 }
 

@@ -13,7 +13,7 @@ use nalgebra::Point2;
 
 use super::affine_views::AffineViews;
 use super::keyframe::{FEW_POINTS, Keyframe};
-use super::redetection::{self, Now, Redetected};
+use super::redetection::{self, Now};
 use super::tracked_point::Live;
 use super::{FeatureError, VideoOptions};
 use crate::camera::Camera;
@@ -66,7 +66,8 @@ pub struct Memory {
     patch_radius: i32,
     matching: MatchOptions,
     skip_tied: bool,
-    only_across_breaks: bool,
+    /// True to re-detect only where the link to the view before is broken, and without synthesized views.
+    pub only_across_breaks: bool,
     keys: Vec<Keyframe>,
     last: Option<Last>,
     /// The view that was tied to a place long ago last.
@@ -94,11 +95,6 @@ impl Memory {
         }
     }
 
-    /// Re-detects only where the link to the view before is broken, and without synthesized views.
-    pub fn only_across_breaks(self) -> Self {
-        Self { only_across_breaks: true, ..self }
-    }
-
     /// Forgets all views, whose numbers change.
     pub fn forget(&mut self) {
         self.keys.clear();
@@ -115,7 +111,7 @@ impl Memory {
         gray: &GrayImage,
         mask: &Mask,
         live: &[Live],
-    ) -> Result<Vec<Redetected>, FeatureError> {
+    ) -> Result<Vec<Live>, FeatureError> {
         let alive: BTreeSet<usize> = live.iter().map(|point| point.track).collect();
         if self.is_cut(&alive) {
             self.apart_since = Some(view);
@@ -153,7 +149,7 @@ impl Memory {
     }
 
     /// The points of key views that are found again, by key view.
-    fn points_of(&self, chosen: &[Chosen], now: &Now<'_>, alive: &BTreeSet<usize>) -> Vec<(Chosen, Vec<Redetected>)> {
+    fn points_of(&self, chosen: &[Chosen], now: &Now<'_>, alive: &BTreeSet<usize>) -> Vec<(Chosen, Vec<Live>)> {
         let mut known = alive.clone();
         let mut all = Vec::new();
         for chosen in chosen {
@@ -169,7 +165,7 @@ impl Memory {
         all
     }
 
-    fn note_ties(&mut self, view: usize, found: &[(Chosen, Vec<Redetected>)]) {
+    fn note_ties(&mut self, view: usize, found: &[(Chosen, Vec<Live>)]) {
         for (chosen, _) in found {
             let keyframe = self.keys[chosen.key].view;
             self.tied_at = chosen.follow_for.map(|_| view).or(self.tied_at);
@@ -190,19 +186,20 @@ impl Memory {
         self.keys.last().is_some_and(|key| key.view == view)
     }
 
+    /// Number of points of the view before that are still tracked, and of all of them.
+    fn link(&self, alive: &BTreeSet<usize>) -> Option<[usize; 2]> {
+        let points = &self.last.as_ref()?.points;
+        Some([points.iter().filter(|(track, _)| alive.contains(track)).count(), points.len()])
+    }
+
     /// Returns true if hardly any point of the view before is still tracked.
     fn is_broken(&self, alive: &BTreeSet<usize>) -> bool {
-        self.last.as_ref().is_some_and(|last| {
-            let live_on = last.points.iter().filter(|(track, _)| alive.contains(track)).count();
-            last.points.len() >= FEW_POINTS && (live_on as f64) < BROKEN_LINK * last.points.len() as f64
-        })
+        self.link(alive).is_some_and(|[tracked, all]| all >= FEW_POINTS && (tracked as f64) < BROKEN_LINK * all as f64)
     }
 
     /// Returns true if too few points of the view before are still tracked to tie the views together.
     fn is_cut(&self, alive: &BTreeSet<usize>) -> bool {
-        self.last
-            .as_ref()
-            .is_some_and(|last| last.points.iter().filter(|(track, _)| alive.contains(track)).count() < FEW_POINTS)
+        self.link(alive).is_some_and(|[tracked, _]| tracked < FEW_POINTS)
     }
 
     /// Returns true if re-detection is due, to tie this view to those before a gap. An object that reappears from an

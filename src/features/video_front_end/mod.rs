@@ -168,7 +168,7 @@ impl VideoFrontEnd {
     /// Re-detects lost points only where hardly any point of the view before is tracked, and without synthesized views:
     /// for live video, where SIFT of every keyframe takes as long as all other work in a frame.
     pub fn only_across_breaks(mut self) -> Self {
-        self.memory = self.memory.only_across_breaks();
+        self.memory.only_across_breaks = true;
         self
     }
 
@@ -179,7 +179,7 @@ impl VideoFrontEnd {
     pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
         let extent = Extent::of(mask);
         self.reach = Reach::new(&self.options, extent);
-        self.shift = super::video_front_end::search_range::shift(&self.options, self.extent, extent);
+        self.shift = search_range::shift(&self.options, self.extent, extent);
         self.extent = extent;
         let mask = mask.eroded(self.reach.border_px);
         let pyramid = picture.pyramid(self.options.pyramid_levels.max(0) as usize)?;
@@ -242,11 +242,9 @@ impl VideoFrontEnd {
     /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
     /// place, the older one goes on.
     fn find_again(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
-        // Two patches that near to one another see the same surface.
-        const SAME_PX: f32 = 2.0;
         let found = self.memory.find_again(self.table.views.len(), gray, mask, &self.live)?;
-        let found: Vec<Live> = found.into_iter().map(Live::from).collect();
-        let goes_on = |point: &Live| found.iter().all(|f| (f.warp.center - point.warp.center).norm() > SAME_PX);
+        // Two patches that near to one another see the same surface.
+        let goes_on = |point: &Live| found.iter().all(|f| (f.warp.center - point.warp.center).norm() > 2.0);
         self.live.retain(goes_on);
         self.live.extend(found);
         Ok(())
@@ -284,14 +282,13 @@ impl VideoFrontEnd {
         bounds: BoundingBox,
         wanted: usize,
     ) -> Vec<Point2<f32>> {
-        /// Border that the strength of a corner depends on.
-        const MARGIN_PX: u32 = 8;
         let (quality, apart) = (self.options.quality, self.reach.min_distance_px);
         if let Some(strength) = strength {
             let whole = BoundingBox { x0: 0, y0: 0, x1: gray.width(), y1: gray.height() };
             return corners::strongest(strength, &free.pixels_in(whole), wanted, quality, apart);
         }
-        let window = bounds.grown(MARGIN_PX, gray.dimensions());
+        // With the border that the strength of a corner depends on.
+        let window = bounds.grown(8, gray.dimensions());
         let BoundingBox { x0, y0, .. } = window;
         let crop = ::image::imageops::crop_imm(gray, x0, y0, window.width(), window.height()).to_image();
         let found = corners::strongest(&CornerStrength::of(&crop), &free.pixels_in(window), wanted, quality, apart);
@@ -300,14 +297,7 @@ impl VideoFrontEnd {
 
     fn record(&mut self, frame: &Frame, image: &RgbImage) {
         let view = self.table.views.len() as u32;
-        let mut source = View {
-            image: frame.id.into(),
-            name: frame.name.clone(),
-            camera: 0,
-            pixels: Vec::new(),
-            rgb: Vec::new(),
-            whitening: Vec::new(),
-        };
+        let mut source = View::new(frame, 0);
         for (feature, point) in self.live.iter().enumerate() {
             let pixel = point.warp.center.cast::<f64>();
             let colour = image.get_pixel_checked(pixel.x as u32, pixel.y as u32);

@@ -99,9 +99,8 @@ impl Motion {
 
     /// Where a point goes if it moves like its neighbours: by the median of their shifts.
     fn carry(&self, from: Point2<f32>) -> Point2<f32> {
-        // Odd, for a median; few enough to lie on the same surface.
-        const NUM_NEIGHBOURS: usize = 9;
-        let near = self.tree.as_ref().map(|tree| tree.nearest(&from.coords.cast::<f64>().into(), NUM_NEIGHBOURS));
+        // Nine: odd, for a median; few enough to lie on the same surface.
+        let near = self.tree.as_ref().map(|tree| tree.nearest(&from.coords.cast::<f64>().into(), 9));
         let near = near.unwrap_or_default();
         if near.is_empty() {
             return from;

@@ -14,9 +14,9 @@ use super::tracked_point::{Live, whitening};
 use crate::camera::Camera;
 use crate::features::matching::{MatchOptions, match_features, match_where};
 use crate::features::patch::{Aligned, Patch, Warp};
-use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
+use crate::geometry::two_view::{self, Correspondences};
 use crate::image::GrayImage;
-use crate::math::{Neighbors, Rigid3, seeded_rng};
+use crate::math::{Neighbors, Rigid3, Rng, seeded_rng};
 use crate::scene::Mask;
 
 /// Distance from the epipolar line up to which matches, and points that were found, count.
@@ -48,18 +48,6 @@ pub struct Now<'a> {
     pub mask: &'a Mask,
 }
 
-/// A point that goes on.
-pub struct Redetected {
-    pub track: usize,
-    point: Live,
-}
-
-impl From<Redetected> for Live {
-    fn from(found: Redetected) -> Self {
-        found.point
-    }
-}
-
 /// Finds the points of an earlier view that are not known in the view at hand; none where too few agree.
 ///
 /// * `patch_radius` – half the side of a patch, pixels.
@@ -70,20 +58,20 @@ pub fn find(
     patch_radius: i32,
     is_known: impl Fn(usize) -> bool,
     follow_for: Option<usize>,
-) -> Vec<Redetected> {
+) -> Vec<Live> {
     let moves = moves_between(&key.looks, now);
     let Some(field) = Field::new(&moves) else { return Vec::new() };
-    let mut found: Vec<(Point2<f32>, Redetected)> = Vec::new();
+    let mut found: Vec<(Point2<f32>, Live)> = Vec::new();
     for sight in key.sights.iter().filter(|sight| !is_known(sight.track)) {
         let Some(patch) = sight.patch(patch_radius) else { continue };
         let Some(best) = best_alignment(&patch, &field.predictions(sight.center), now) else { continue };
         let whitening = whitening(best.covariance);
         let point = Live { track: sight.track, patch, warp: best.warp, whitening, step: None, views_left: follow_for };
-        found.push((sight.center, Redetected { track: sight.track, point }));
+        found.push((sight.center, point));
     }
-    let ends: Vec<[Point2<f64>; 2]> =
-        found.iter().map(|(from, to)| [from.cast(), to.point.warp.center.cast()]).collect();
-    let agreeing = epipolar_inliers(now.camera, &ends, MAX_POINT_ERROR_PX);
+    let ends: Vec<[Point2<f64>; 2]> = found.iter().map(|(from, to)| [from.cast(), to.warp.center.cast()]).collect();
+    let (pairs, mut rng) = correspondences(now.camera, &ends);
+    let agreeing = two_view::verify(&pairs, MAX_POINT_ERROR_PX / now.camera.mean_focal(), &mut rng);
     tracing::trace!(moves = moves.len(), found = found.len(), agreeing = agreeing.len(), "aligned");
     if agreeing.len() < MIN_FOUND || (agreeing.len() as f64) < MIN_SHARE * found.len() as f64 {
         return Vec::new();
@@ -107,20 +95,24 @@ fn moves_between(before: &AffineViews, now: &Now<'_>) -> Vec<Move> {
     let matched = |(a, b): &(&AffineView, &AffineView)| match_features(&a.features, &b.features, now.matching);
     let matches: Vec<Vec<[u32; 2]>> = pairs.iter().map(matched).collect();
     let ends: Vec<[Point2<f64>; 2]> = pairs.iter().zip(&matches).flat_map(|(pair, m)| ends_of(pair, m)).collect();
-    let Some(geometry) = epipolar_geometry(now.camera, &ends) else { return Vec::new() };
+    let (pairs_of_ends, mut rng) = correspondences(now.camera, &ends);
+    let max_error = MAX_MATCH_ERROR_PX / now.camera.mean_focal();
+    let Some(geometry) = two_view::estimate(&pairs_of_ends, max_error, &mut rng) else { return Vec::new() };
     let enough =
         geometry.inliers.len() >= FEW_POINTS && geometry.inliers.len() as f64 >= MIN_INLIER_SHARE * ends.len() as f64;
     if !enough {
         return Vec::new();
     }
     let max_error = MAX_GUIDED_ERROR_PX / now.camera.mean_focal();
+    let Rigid3 { rotation, translation } = geometry.cam2_from_cam1;
+    let essential = translation.cross_matrix() * rotation.to_rotation_matrix().matrix();
     let guided = |(a, b): &(&AffineView, &AffineView)| {
         let normalized = |look: &AffineView| {
             look.features.pixels.iter().map(|&p| now.camera.normalized_from_pixel(p)).collect::<Vec<_>>()
         };
         let (first, second) = (normalized(a), normalized(b));
-        let lines = EpipolarLines::new(&geometry.cam2_from_cam1);
-        match_where(&a.features, &b.features, |i, j| lines.distance(&first[i], &second[j]) <= max_error, &GUIDED)
+        let distance = |i: usize, j: usize| two_view::sampson_distance(&essential, &first[i], &second[j]).abs();
+        match_where(&a.features, &b.features, |i, j| distance(i, j) <= max_error, &GUIDED)
     };
     let mut moves: Vec<Move> = Vec::new();
     for pair in &pairs {
@@ -146,36 +138,9 @@ fn ends_of((a, b): &(&AffineView, &AffineView), matches: &[[u32; 2]]) -> Vec<[Po
     matches.iter().map(|m| [a.features.pixels[m[0] as usize], b.features.pixels[m[1] as usize]]).collect()
 }
 
-fn epipolar_geometry(camera: &Camera, ends: &[[Point2<f64>; 2]]) -> Option<TwoViewGeometry> {
-    let side = |s: usize| ends.iter().map(|e| camera.normalized_from_pixel(e[s])).collect::<Vec<_>>();
-    let (first, second) = (side(0), side(1));
-    let pairs = Correspondences { first: &first, second: &second };
-    two_view::estimate(&pairs, MAX_MATCH_ERROR_PX / camera.mean_focal(), &mut seeded_rng(0, ends.len() as u64))
-}
-
-/// The epipolar lines between two views.
-struct EpipolarLines(Matrix3<f64>);
-
-impl EpipolarLines {
-    fn new(cam2_from_cam1: &Rigid3) -> Self {
-        Self(cam2_from_cam1.translation.cross_matrix() * cam2_from_cam1.rotation.to_rotation_matrix().matrix())
-    }
-
-    /// Sampson's distance, in normalised units.
-    fn distance(&self, first: &Vector2<f64>, second: &Vector2<f64>) -> f64 {
-        let (p, q) = (first.push(1.0), second.push(1.0));
-        let (line2, line1) = (self.0 * p, self.0.tr_mul(&q));
-        let gradient = (line2.xy().norm_squared() + line1.xy().norm_squared()).sqrt();
-        q.dot(&line2).abs() / gradient.max(f64::MIN_POSITIVE)
-    }
-}
-
-/// Which pairs of pixels agree with one epipolar geometry.
-fn epipolar_inliers(camera: &Camera, ends: &[[Point2<f64>; 2]], max_error_px: f64) -> Vec<usize> {
-    let side = |s: usize| ends.iter().map(|e| camera.normalized_from_pixel(e[s])).collect::<Vec<_>>();
-    let (first, second) = (side(0), side(1));
-    let pairs = Correspondences { first: &first, second: &second };
-    two_view::verify(&pairs, max_error_px / camera.mean_focal(), &mut seeded_rng(0, ends.len() as u64))
+/// Pixels in two views of one camera, with random numbers for these.
+fn correspondences(camera: &Camera, ends: &[[Point2<f64>; 2]]) -> (Correspondences, Rng) {
+    (Correspondences::new([camera; 2], ends.iter().copied()), seeded_rng(0, ends.len() as u64))
 }
 
 /// The alignment with the highest correlation of those that start at the predictions.
@@ -221,7 +186,6 @@ impl<'a> Field<'a> {
 
 /// The affine map that moves take on the whole, at a point; `None` where they lie on a line or it makes no sense.
 fn affine(moves: &[&Move], at: Point2<f32>) -> Option<Warp> {
-    const SANE: std::ops::Range<f32> = 0.1..10.0;
     let (mut normal, mut right) = (Matrix3::<f32>::zeros(), Matrix3x2::<f32>::zeros());
     for m in moves {
         let offset: Vector2<f32> = m.from - at;
@@ -232,6 +196,6 @@ fn affine(moves: &[&Move], at: Point2<f32>) -> Option<Warp> {
     let solution = normal.cholesky()?.solve(&right);
     let shape: Matrix2<f32> = solution.fixed_view::<2, 2>(0, 0).transpose();
     let center = Point2::new(solution[(2, 0)], solution[(2, 1)]);
-    let sane = SANE.contains(&shape.determinant()) && center.coords.iter().all(|v| v.is_finite());
+    let sane = (0.1..10.0).contains(&shape.determinant()) && center.coords.iter().all(|v| v.is_finite());
     sane.then_some(Warp { shape, center })
 }

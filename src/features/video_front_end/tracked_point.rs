@@ -26,10 +26,9 @@ impl Live {
 
     /// Alignment of the patch near a prediction; `None` where the patch is not seen.
     pub fn aligned(&self, predicted: Point2<f32>, gray: &GrayImage, min_correlation: f32) -> Option<Aligned> {
-        // Lucas–Kanade is right to a fraction of a pixel; farther away lies another structure.
-        const MAX_CORRECTION_PX: f32 = 2.0;
         let found = self.patch.align(gray, &Warp { shape: self.warp.shape, center: predicted })?;
-        let is_near = (found.warp.center - predicted).norm() <= MAX_CORRECTION_PX;
+        // Lucas–Kanade is right to a fraction of a pixel; farther away lies another structure.
+        let is_near = (found.warp.center - predicted).norm() <= 2.0;
         (is_near && found.correlation >= min_correlation).then_some(found)
     }
 
