@@ -82,10 +82,6 @@ const MIN_STRENGTH: f64 = 4.0;
 pub(super) const MIN_DEVIATION_PX: f64 = 1.5;
 /// Tolerance of the ground: share of the distance at which a ray meets it.
 pub const GROUND_TOLERANCE: f64 = 0.15;
-/// Frames of a track that are looked at, evenly spread over its life.
-const MAX_VIEWS: usize = 24;
-/// Smallest noise of a followed point, pixels.
-const MIN_NOISE_PX: f64 = 0.1;
 
 /// Says of every track whether it moves; one label per track.
 ///
@@ -94,7 +90,7 @@ pub fn classify(tracks: &[PointTrack], surroundings: &Surroundings) -> Vec<Track
     let measured: Vec<Option<Measured>> = tracks.par_iter().map(|track| measure(track, surroundings)).collect();
     let samples: Vec<(Circumstances, f64)> =
         measured.iter().flatten().filter(|m| !m.is_fixed).map(|m| (m.circumstances, m.fit.rms_px)).collect();
-    let noise = Noise::measure(&samples, MIN_NOISE_PX);
+    let noise = Noise::measure(&samples);
     let label = |m: &Option<Measured>| m.as_ref().map_or(TrackLabel::UNDETERMINED, |m| m.label(&noise));
     measured.iter().map(label).collect()
 }
@@ -119,12 +115,12 @@ pub(super) const HORIZON: f64 = 40.0;
 const QUIET: f64 = 0.75;
 
 fn measure(track: &PointTrack, surroundings: &Surroundings) -> Option<Measured> {
-    let pose = |frame: u32| surroundings.views.get(frame as usize)?.as_ref().map(|view| view.cam_from_world);
+    let pose = |frame: u32| surroundings.view(frame).map(|view| view.cam_from_world);
     let heights =
         |frame: u32| surroundings.ground.zip(pose(frame)).and_then(|(ground, pose)| ground.camera_height(&pose));
     let height = (track.first..track.end()).find_map(heights);
     let limit = height.map_or(f64::INFINITY, |height| 1.0 / (LEAST_DISTANCE * height));
-    let fit = fit_static(track, surroundings, MAX_VIEWS, limit)?;
+    let fit = fit_static(track, surroundings, limit)?;
     let at_reference = pose(fit.reference)?;
     let ground = surroundings.ground.and_then(|ground| ground.inverse_depth(&at_reference, fit.ray));
     Some(Measured {
@@ -148,15 +144,13 @@ fn circumstances(track: &PointTrack, surroundings: &Surroundings, reference: u32
 
 /// Returns true if a point that is visible for a second and a half stays within a pixel.
 fn is_fixed(track: &PointTrack, surroundings: &Surroundings) -> bool {
-    // In less time a far point of the world stays within a pixel, too.
-    const LEAST_TIME_S: f64 = 1.5;
-    const MOST_PX: f32 = 1.2;
     let time = |frame: u32| surroundings.times_s.get(frame as usize).copied().unwrap_or(0.0);
     let spread = |k: usize| {
         let values = || track.pixels.iter().map(|pixel| pixel[k]);
         values().fold(f32::MIN, f32::max) - values().fold(f32::MAX, f32::min)
     };
-    time(track.end().saturating_sub(1)) - time(track.first) >= LEAST_TIME_S && spread(0).max(spread(1)) <= MOST_PX
+    // In less time a far point of the world stays within a pixel, too.
+    time(track.end().saturating_sub(1)) - time(track.first) >= 1.5 && spread(0).max(spread(1)) <= 1.2
 }
 
 impl Measured {

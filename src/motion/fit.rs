@@ -5,7 +5,6 @@ use nalgebra::{Matrix2x3, Matrix3, Point2, Vector2, Vector3};
 use super::{PointTrack, Surroundings, View};
 
 /// A standing point as one track sees it.
-#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct StaticFit {
     /// Frame in whose camera the point is given.
     pub reference: u32,
@@ -21,8 +20,6 @@ pub(super) struct StaticFit {
     pub rms_px: f64,
     /// Largest residual, pixels.
     pub max_px: f64,
-    /// Frames that were looked at.
-    pub num_views: usize,
 }
 
 /// One observation: how its camera stands to the reference, and where the point is seen on the plane z = 1.
@@ -34,23 +31,20 @@ struct ViewObservation {
 }
 
 /// A track needs as many registered frames: four give five equations to spare.
-pub(super) const MIN_VIEWS: usize = 4;
+const MIN_VIEWS: usize = 4;
+/// Frames of a track that are looked at, evenly spread over its life.
+const MAX_VIEWS: usize = 24;
 
-/// Fits a standing point to a track in the frames whose cameras are known, at most `max_views` of them, with an inverse
-/// depth of at most `max_inverse_depth`. `None` if there are too few.
-pub(super) fn fit_static(
-    track: &PointTrack,
-    surroundings: &Surroundings,
-    max_views: usize,
-    max_inverse_depth: f64,
-) -> Option<StaticFit> {
-    let frames = sampled(track, surroundings, max_views);
+/// Fits a standing point to a track in the frames whose cameras are known, with an inverse depth of at most
+/// `max_inverse_depth`. `None` if there are too few.
+pub(super) fn fit_static(track: &PointTrack, surroundings: &Surroundings, max_inverse_depth: f64) -> Option<StaticFit> {
+    let frames = sampled(track, surroundings);
     if frames.len() < MIN_VIEWS {
         return None;
     }
     let reference = frames[frames.len() / 2];
     let sights = sights(track, surroundings, &frames, reference)?;
-    let start = undistorted(view(surroundings, reference)?, track.at(reference)?);
+    let start = undistorted(surroundings.view(reference)?, track.at(reference)?);
     let limit = |inverse_depth: f64| inverse_depth.clamp(-max_inverse_depth, max_inverse_depth);
     let mut point = Vector3::new(start.x, start.y, limit(linear_inverse_depth(&sights, start)));
     let mut normal = Matrix3::zeros();
@@ -67,18 +61,14 @@ pub(super) fn fit_static(
     summary(&sights, point, &normal, reference)
 }
 
-fn view<'a>(surroundings: &Surroundings<'a>, frame: u32) -> Option<&'a View> {
-    surroundings.views.get(frame as usize)?.as_ref()
-}
-
 /// Registered frames of a track, evenly thinned out, first and last included.
-fn sampled(track: &PointTrack, surroundings: &Surroundings, max_views: usize) -> Vec<u32> {
-    let registered: Vec<u32> = (track.first..track.end()).filter(|&f| view(surroundings, f).is_some()).collect();
-    if registered.len() <= max_views {
+fn sampled(track: &PointTrack, surroundings: &Surroundings) -> Vec<u32> {
+    let registered: Vec<u32> = (track.first..track.end()).filter(|&f| surroundings.view(f).is_some()).collect();
+    if registered.len() <= MAX_VIEWS {
         return registered;
     }
     let last = registered.len() - 1;
-    (0..max_views).map(|k| registered[k * last / (max_views - 1)]).collect()
+    (0..MAX_VIEWS).map(|k| registered[k * last / (MAX_VIEWS - 1)]).collect()
 }
 
 fn undistorted(view: &View, pixel: [f64; 2]) -> Vector2<f64> {
@@ -91,9 +81,9 @@ fn sights(
     frames: &[u32],
     reference: u32,
 ) -> Option<Vec<ViewObservation>> {
-    let world_from_reference = view(surroundings, reference)?.cam_from_world.inverse();
+    let world_from_reference = surroundings.view(reference)?.cam_from_world.inverse();
     let sight = |&frame: &u32| {
-        let view = view(surroundings, frame)?;
+        let view = surroundings.view(frame)?;
         let relative = view.cam_from_world * world_from_reference;
         Some(ViewObservation {
             rotation: *relative.rotation.to_rotation_matrix().matrix(),
@@ -170,6 +160,5 @@ fn summary(
         shift_px,
         rms_px: (sum / (2 * sights.len() - 3) as f64).sqrt(),
         max_px: max_sq.sqrt(),
-        num_views: sights.len(),
     })
 }

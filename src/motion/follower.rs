@@ -13,7 +13,7 @@ use std::sync::Arc;
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
-use crate::image::{CornerStrength, LucasKanade, Picture, Pyramid, gray_from_rgb, resize_gray, scale_to_fit};
+use crate::image::{CornerStrength, LucasKanade, Picture, Pyramid, Returned, gray_from_rgb, resize_gray, scale_to_fit};
 use crate::math::lower_quantile;
 use crate::networks::PerceptionError;
 
@@ -108,14 +108,14 @@ impl Live {
     }
 }
 
-/// Initialization of a step.
-#[derive(Clone, Copy, PartialEq)]
-enum Start {
-    /// Where the point's last step leads, on the finest pictures alone.
-    Predicted,
-    /// Where the point was, through the whole pyramid.
-    Anywhere,
-}
+/// Through the whole pyramid.
+const TRACKER: LucasKanade = LucasKanade {
+    window_radius_px: WINDOW_RADIUS_PX,
+    num_smaller: PYRAMID_LEVELS,
+    max_steps: 12,
+    converged_px: 0.03,
+    min_eigenvalue: 1e-4,
+};
 
 impl PointFollower {
     /// Nothing seen yet; frames will have `size` (width, height).
@@ -171,12 +171,22 @@ impl PointFollower {
     fn follow(&mut self, previous: &Pyramid, next: &Pyramid) {
         let live = std::mem::take(&mut self.live);
         let mut found = vec![None; live.len()];
-        let known: Vec<usize> = (0..live.len()).filter(|&k| live[k].predicted().is_some()).collect();
-        self.step(previous, next, &live, &known, Start::Predicted, &mut found);
+        let step = |tracker: LucasKanade, chosen: &[usize], guesses: &[Point2<f32>]| -> Vec<Option<Point2<f32>>> {
+            let from: Vec<Point2<f32>> = chosen.iter().map(|&k| live[k].last()).collect();
+            let all = tracker.there_and_back(previous, next, &from, guesses).into_iter();
+            all.map(|returned| Some(returned.filter(|returned| self.is_found(returned))?.position)).collect()
+        };
+        // Where the last step leads, in the finest pictures alone; then where the point was, through the whole pyramid.
+        let (known, predicted): (Vec<usize>, Vec<Point2<f32>>) =
+            live.iter().enumerate().filter_map(|(k, point)| Some((k, point.predicted()?))).unzip();
+        let near = step(TRACKER.near(), &known, &predicted);
+        known.iter().zip(near).for_each(|(&k, position)| found[k] = position);
         let num_near = found.iter().flatten().count();
         let is_hidden = |k: usize| live[k].predicted().is_some() && num_near as f64 >= MIN_NEAR * known.len() as f64;
         let open: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none() && !is_hidden(k)).collect();
-        self.step(previous, next, &live, &open, Start::Anywhere, &mut found);
+        let places: Vec<Point2<f32>> = open.iter().map(|&k| live[k].last()).collect();
+        let anywhere = step(TRACKER, &open, &places);
+        open.iter().zip(anywhere).for_each(|(&k, position)| found[k] = position);
         for (mut point, found) in live.into_iter().zip(found) {
             match found {
                 Some(position) => {
@@ -199,37 +209,10 @@ impl PointFollower {
         }
     }
 
-    /// Follows some of the points there and back, and notes where those went that came back.
-    fn step(
-        &self,
-        previous: &Pyramid,
-        next: &Pyramid,
-        live: &[Live],
-        chosen: &[usize],
-        start: Start,
-        found: &mut [Option<Point2<f32>>],
-    ) {
-        let from: Vec<Point2<f32>> = chosen.iter().map(|&k| live[k].last()).collect();
-        let guess = |k: usize| if start == Start::Predicted { live[k].predicted() } else { None };
-        let guesses: Vec<_> = chosen.iter().map(|&k| guess(k).unwrap_or_else(|| live[k].last())).collect();
-        let method = self.method();
-        let method = if start == Start::Predicted { method.near() } else { method };
-        for (&k, returned) in chosen.iter().zip(method.there_and_back(previous, next, &from, &guesses)) {
-            found[k] = returned.and_then(|returned| {
-                let is_same = returned.round_trip_px <= MAX_ROUND_TRIP_PX && returned.difference <= MAX_DIFFERENCE;
-                (is_same && self.is_inside(returned.position)).then_some(returned.position)
-            });
-        }
-    }
-
-    fn method(&self) -> LucasKanade {
-        LucasKanade {
-            window_radius_px: WINDOW_RADIUS_PX,
-            num_smaller: PYRAMID_LEVELS,
-            max_steps: 12,
-            converged_px: 0.03,
-            min_eigenvalue: 1e-4,
-        }
+    /// Returns true if a point came back to where it was, and looks the same.
+    fn is_found(&self, returned: &Returned) -> bool {
+        let is_same = returned.round_trip_px <= MAX_ROUND_TRIP_PX && returned.difference <= MAX_DIFFERENCE;
+        is_same && self.is_inside(returned.position)
     }
 
     fn is_inside(&self, position: Point2<f32>) -> bool {

@@ -1,6 +1,8 @@
 //! Which tracks belong together: neighbours that keep their offsets (eq. 10 of `docs/maths/motion.md`).
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
+
+use pathfinding::undirected::connected_components::connected_components;
 
 use super::follower::{MAX_SIDE_PX, SPACING_PX};
 use super::{PointTrack, Surroundings, TrackLabel, Verdict};
@@ -104,10 +106,17 @@ impl Crowd {
 
 /// Part of the points near each track that move, over its life; the point itself
 /// counts, too. Where most stands, a single one that moves was followed wrongly.
-pub(super) fn moving_company(tracks: &[PointTrack], labels: &[TrackLabel], scales: &Scales, reach_px: f64) -> Vec<f64> {
+///
+/// * `looks` – all tracks in the frames that are looked at.
+pub(super) fn moving_company(
+    tracks: &[PointTrack],
+    labels: &[TrackLabel],
+    looks: &BTreeMap<u32, Vec<usize>>,
+    reach_px: f64,
+) -> Vec<f64> {
     let mut counts = vec![[0.0; 2]; tracks.len()];
-    for (frame, seen) in looks(tracks, 0..tracks.len(), scales.stride) {
-        for (i, j) in Crowd::new(tracks, &seen, frame, reach_px).pairs() {
+    for (frame, seen) in looks {
+        for (i, j) in Crowd::new(tracks, seen, *frame, reach_px).pairs() {
             add(&mut counts[i], &labels[j]);
             add(&mut counts[j], &labels[i]);
         }
@@ -170,41 +179,21 @@ impl Neighbourhood<'_> {
 /// Groups of nodes that hang together by edges of triangles, each node with at least two; each ascending, in the order
 /// of their first nodes.
 pub(super) fn connected(pairs: &[(usize, usize)]) -> Vec<Vec<usize>> {
-    let firm = in_triangles(pairs);
-    let mut root: BTreeMap<usize, usize> = BTreeMap::new();
-    for &(i, j) in &firm {
-        let (a, b) = (find(&mut root, i), find(&mut root, j));
-        root.insert(a.max(b), a.min(b));
-    }
-    let mut groups: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    let nodes: Vec<usize> = root.keys().copied().collect();
-    for node in nodes {
-        let top = find(&mut root, node);
-        groups.entry(top).or_default().push(node);
-    }
-    groups.into_values().collect()
-}
-
-/// The top of a node's tree; a new node is its own.
-fn find(root: &mut BTreeMap<usize, usize>, node: usize) -> usize {
-    let mut at = node;
-    while let Some(&above) = root.get(&at).filter(|&&above| above != at) {
-        at = above;
-    }
-    root.insert(node, at);
-    at
-}
-
-/// The pairs whose two sides have a common neighbour: a single chance link joins nothing.
-fn in_triangles(pairs: &[(usize, usize)]) -> Vec<(usize, usize)> {
-    let mut neighbours: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+    let mut neighbours: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for &(i, j) in pairs {
-        neighbours.entry(i).or_default().push(j);
-        neighbours.entry(j).or_default().push(i);
+        neighbours.entry(i).or_default().insert(j);
+        neighbours.entry(j).or_default().insert(i);
     }
-    for list in neighbours.values_mut() {
-        list.sort_unstable();
-    }
-    let shares = |(i, j): &(usize, usize)| neighbours[i].iter().any(|k| neighbours[j].binary_search(k).is_ok());
-    pairs.iter().copied().filter(shares).collect()
+    let neighbours = &neighbours;
+    // A single chance link joins nothing.
+    let in_triangles = |node: &usize| {
+        let own = &neighbours[node];
+        own.iter().copied().filter(move |other| !own.is_disjoint(&neighbours[other]))
+    };
+    let nodes: Vec<usize> = neighbours.keys().copied().collect();
+    let groups = connected_components(&nodes, in_triangles).into_iter().filter(|group| group.len() > 1);
+    let mut groups: Vec<Vec<usize>> =
+        groups.map(|group| group.into_iter().collect::<BTreeSet<_>>().into_iter().collect()).collect();
+    groups.sort_unstable();
+    groups
 }

@@ -67,28 +67,21 @@ pub struct Judgement {
 
 impl fmt::Display for Judgement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let (moving, all) = (self.num_moving, self.num_moving + self.num_standing);
+        let (moving, standing) = (self.num_moving, self.num_standing);
+        let all = moving + standing;
+        let [moves, stands] = [self.odds, 1.0 / self.odds].map(odds);
         match self.reason {
             MovementReason::TooFewPoints => write!(f, "too few points to decide whether it moves"),
             MovementReason::PointsMove => write!(f, "{moving} of {all} points move against the background"),
             MovementReason::MovesForATime => write!(f, "{moving} of {all} points move in part of the frames"),
             MovementReason::FootFloats => {
-                write!(f, "it approaches: a stationary object would float above the ground ({})", odds(self.odds))
+                write!(f, "it approaches: a stationary object would float above the ground ({moves})")
             }
             MovementReason::FootBehindGround => {
-                write!(
-                    f,
-                    "it moves ahead of the camera: a stationary object would be behind the ground ({})",
-                    odds(self.odds)
-                )
+                write!(f, "it moves ahead of the camera: a stationary object would be behind the ground ({moves})")
             }
             MovementReason::PointsStand => {
-                let odds = odds(1.0 / self.odds);
-                write!(
-                    f,
-                    "{} of {all} points are stationary, and the contact line is on the ground ({odds})",
-                    self.num_standing
-                )
+                write!(f, "{standing} of {all} points are stationary, and the contact line is on the ground ({stands})")
             }
             MovementReason::Sway => {
                 write!(f, "{moving} of {all} points move, by no more than tall objects do as a hovering camera sways")
@@ -226,13 +219,10 @@ fn time_moving(
 
 /// Returns true if hardly any point of known height rises over the ground.
 fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
-    // A share of fewer is no evidence.
-    const LEAST_POINTS: usize = 8;
-    const MOST_HEIGHT: f64 = 0.03;
-    const LEAST_FLAT: f64 = 0.8;
     let heights: Vec<f64> = labels.filter_map(|label| label.relative_height).collect();
-    let low = heights.iter().filter(|height| **height <= MOST_HEIGHT).count();
-    heights.len() >= LEAST_POINTS && low as f64 >= LEAST_FLAT * heights.len() as f64
+    let low = heights.iter().filter(|height| **height <= 0.03).count();
+    // A share of fewer than eight is no evidence.
+    heights.len() >= 8 && low as f64 >= 0.8 * heights.len() as f64
 }
 
 #[cfg(test)]

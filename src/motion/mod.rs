@@ -22,8 +22,6 @@ mod noise;
 mod stationary;
 #[cfg(test)]
 mod tests;
-#[cfg(test)]
-mod world;
 
 pub use self::classify::{Evidence, GROUND_TOLERANCE, StaticPoint, TrackLabel, Verdict, classify};
 pub use self::differences::{DifferenceDetector, MovingObject};
@@ -56,4 +54,11 @@ pub struct Surroundings<'a> {
     pub views: &'a [Option<View>],
     /// The ground, if it was found.
     pub ground: Option<&'a GroundModel>,
+}
+
+impl<'a> Surroundings<'a> {
+    /// Camera of a frame.
+    fn view(&self, frame: u32) -> Option<&'a View> {
+        self.views.get(frame as usize)?.as_ref()
+    }
 }

@@ -59,8 +59,8 @@ const MIN_CONFIDENCE: f64 = 0.5;
 /// and do not stand on the ground.
 pub fn movers(tracks: &[PointTrack], labels: &[TrackLabel], surroundings: &Surroundings) -> Vec<Mover> {
     let scales = Scales::new(surroundings);
-    let company = moving_company(tracks, labels, &scales, COMPANY_CELLS * f64::from(SPACING_PX) * scales.pixel);
     let looks = looks(tracks, 0..tracks.len(), scales.stride);
+    let company = moving_company(tracks, labels, &looks, COMPANY_CELLS * f64::from(SPACING_PX) * scales.pixel);
     let maker = Maker { tracks, labels, company, looks, scales };
     let mut found: Vec<Mover> = maker.groups().iter().flat_map(|group| maker.movers_of(group, surroundings)).collect();
     found = maker.merged(found, surroundings);
@@ -216,10 +216,8 @@ impl Maker<'_> {
     /// Returns true if a group keeps its position in the image, except for a slow drift, for three seconds or more: a
     /// reflection in the windscreen, a hood.
     fn is_fixed(&self, path: &GroupTrajectory) -> bool {
-        const LEAST_TIME_S: f64 = 3.0;
-        const MOST_PX_PER_S: f64 = 1.0;
         let time_s = path.places.len() as f64 / f64::from(self.scales.second);
-        time_s >= LEAST_TIME_S && path.excursion() <= MOST_PX_PER_S * self.scales.pixel * time_s
+        time_s >= 3.0 && path.excursion() <= self.scales.pixel * time_s
     }
 
     /// Maximum displacement of foliage in the wind; pixels.
@@ -322,14 +320,13 @@ impl Maker<'_> {
 
     /// Returns true if the centers of two boxes keep their offset, relative to the size of the larger one.
     fn keep_offset(&self, common: &[(Rect, Rect)]) -> bool {
-        const MOST_CHANGE: f64 = 0.3;
         let offset = |(p, q): &(Rect, Rect)| [p.center()[0] - q.center()[0], p.center()[1] - q.center()[1]];
         let side = |(p, q): &(Rect, Rect)| p.area_px2().max(q.area_px2()).sqrt();
         common.first().is_some_and(|first| {
             common.iter().all(|pair| {
                 let (before, after) = (offset(first), offset(pair));
                 let change = (after[0] - before[0]).hypot(after[1] - before[1]);
-                change <= 2.0 * self.scales.pixel + MOST_CHANGE * side(first).min(side(pair))
+                change <= 2.0 * self.scales.pixel + 0.3 * side(first).min(side(pair))
             })
         })
     }
@@ -352,10 +349,8 @@ fn range_of(boxes: &BTreeMap<u32, Rect>) -> std::ops::RangeInclusive<u32> {
 
 /// A box without strips along its sides in which hardly anything is its own.
 fn trimmed(mut rect: Rect, points: &[Inside]) -> Rect {
-    const STRIP: f64 = 0.15;
-    const LEAST_OWN: f64 = 0.25;
     for _ in 0..12 {
-        let (dx, dy) = (STRIP * rect.width(), STRIP * rect.height());
+        let (dx, dy) = (0.15 * rect.width(), 0.15 * rect.height());
         let inner = [
             Rect { x0: rect.x0 + dx, ..rect },
             Rect { y0: rect.y0 + dy, ..rect },
@@ -366,7 +361,7 @@ fn trimmed(mut rect: Rect, points: &[Inside]) -> Rect {
         let is_foreign = |rest: &&Rect| {
             let strip = points.iter().filter(|p| in_strip(rest, &p.place));
             let (own, all) = strip.fold((0, 0), |(own, all), p| (own + u32::from(p.is_own), all + 1));
-            all > 0 && f64::from(own) < LEAST_OWN * f64::from(all)
+            all > 0 && f64::from(own) < 0.25 * f64::from(all)
         };
         match inner.iter().find(is_foreign) {
             Some(rest) => rect = *rest,

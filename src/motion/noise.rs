@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use crate::math::upper_median;
+use crate::math::{bin, upper_median};
 
 /// Properties that the noise of a track depends on: its time, its length, and its position.
 #[derive(Clone, Copy, Debug)]
@@ -16,13 +16,15 @@ pub(super) struct Circumstances {
 }
 
 /// Typical residuals by time and length, and by how much they are larger in a part of the picture.
+#[derive(Default)]
 pub(super) struct Noise {
     typical: BTreeMap<(i64, u32), f64>,
     of_length: BTreeMap<u32, f64>,
     of_place: BTreeMap<(i64, usize), f64>,
-    least_px: f64,
 }
 
+/// Smallest noise of a followed point, pixels.
+const MIN_NOISE_PX: f64 = 0.1;
 /// Fewest tracks that say something of the noise.
 const MIN_SAMPLES: usize = 30;
 /// Parts of the picture along its width and its height.
@@ -32,29 +34,27 @@ const MAX_PLACE_FACTOR: f64 = 2.5;
 
 impl Noise {
     /// From the residuals of all tracks, most of which stand still.
-    pub fn measure(samples: &[(Circumstances, f64)], least_px: f64) -> Self {
-        let mut noise =
-            Self { typical: BTreeMap::new(), of_length: BTreeMap::new(), of_place: BTreeMap::new(), least_px };
+    pub fn measure(samples: &[(Circumstances, f64)]) -> Self {
+        let mut noise = Self::default();
         noise.of_length = medians(samples.iter().map(|(c, rms)| (length_class(c), *rms)), 1);
         let nearby = samples.iter().flat_map(|(c, rms)| around(c).map(move |bin| ((bin, length_class(c)), *rms)));
         noise.typical = medians(nearby, MIN_SAMPLES);
         let relative = samples.iter().map(|(c, rms)| (c, rms / noise.usual(c)));
         let relative = relative.flat_map(|(c, ratio)| around(c).map(move |bin| ((bin, place(c)), ratio)));
-        let of_place = medians(relative, MIN_SAMPLES);
-        noise.of_place = of_place;
+        noise.of_place = medians(relative, MIN_SAMPLES);
         noise
     }
 
     /// Standard deviation of a followed point, pixels.
     pub fn of(&self, circumstances: &Circumstances) -> f64 {
-        let factor = self.of_place.get(&(bin(circumstances), place(circumstances))).copied().unwrap_or(1.0);
+        let factor = self.of_place.get(&(second(circumstances), place(circumstances))).copied().unwrap_or(1.0);
         self.usual(circumstances) * factor.clamp(1.0, MAX_PLACE_FACTOR)
     }
 
     fn usual(&self, circumstances: &Circumstances) -> f64 {
         let class = length_class(circumstances);
-        let measured = self.typical.get(&(bin(circumstances), class)).or_else(|| self.of_length.get(&class));
-        measured.copied().unwrap_or(0.0).max(self.least_px)
+        let measured = self.typical.get(&(second(circumstances), class)).or_else(|| self.of_length.get(&class));
+        measured.copied().unwrap_or(0.0).max(MIN_NOISE_PX)
     }
 }
 
@@ -67,14 +67,14 @@ fn medians<K: Ord>(samples: impl Iterator<Item = (K, f64)>, least: usize) -> BTr
     enough.filter_map(|(key, list)| Some((key, upper_median(list)?))).collect()
 }
 
-/// Seconds.
-fn bin(c: &Circumstances) -> i64 {
+/// The second in which a track is in the middle of its life.
+fn second(c: &Circumstances) -> i64 {
     c.time_s.floor() as i64
 }
 
-/// The bin of a track and its neighbours, in all of which it counts.
+/// That second and its neighbours, in all of which a track counts.
 fn around(c: &Circumstances) -> impl Iterator<Item = i64> + use<> {
-    bin(c).saturating_sub(1)..=bin(c).saturating_add(1)
+    second(c).saturating_sub(1)..=second(c).saturating_add(1)
 }
 
 /// Powers of two: points drift, the longer the further.
@@ -83,6 +83,5 @@ fn length_class(c: &Circumstances) -> u32 {
 }
 
 fn place(c: &Circumstances) -> usize {
-    let part = |k: usize| ((c.place[k] * PLACES[k] as f64).max(0.0) as usize).min(PLACES[k] - 1);
-    part(1) * PLACES[0] + part(0)
+    bin(c.place[1], PLACES[1]) * PLACES[0] + bin(c.place[0], PLACES[0])
 }

@@ -1,11 +1,13 @@
 //! Made-up worlds in which it is known what moves.
 
-use super::world::{Flight, Plan, World, world};
+mod world;
+
 use super::{
     Judgement, MovementReason, Mover, PointOnObject, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge,
     judge_pieces, movers,
 };
 use crate::scene::{Movement, Rect};
+use world::{Flight, Plan, World, world};
 
 fn look(world: &World) -> (Vec<TrackLabel>, Vec<Mover>) {
     look_with(world, &world.surroundings())

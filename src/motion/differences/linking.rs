@@ -133,8 +133,7 @@ impl Followed {
         for pair in self.sights.windows(2) {
             for index in pair[0].index..=pair[1].index {
                 let sight = pair[0].between(&pair[1], surroundings.times_s[index as usize]);
-                let view = surroundings.views[index as usize].as_ref();
-                boxes.extend(view.and_then(|view| Some((index, sight.rect(view)?))));
+                boxes.extend(surroundings.view(index).and_then(|view| Some((index, sight.rect(view)?))));
             }
         }
         Some(MovingObject { boxes, confidence: 1.0 - (-CERTAINTY * displacement / length).exp() })

@@ -80,9 +80,8 @@ impl<'a> DifferenceDetector<'a> {
     /// # Errors
     /// [`ImageError`] if OpenCV fails.
     pub fn push(&mut self, index: u32, picture: &RgbImage) -> Result<(), ImageError> {
-        let (views, times_s) = (self.surroundings.views, self.surroundings.times_s);
-        let known = views.get(index as usize).copied().flatten().zip(times_s.get(index as usize));
-        let Some((view, &time_s)) = known else { return Ok(()) };
+        let known = self.surroundings.view(index).zip(self.surroundings.times_s.get(index as usize));
+        let Some((&view, &time_s)) = known else { return Ok(()) };
         let mut picture = blurred(&resize_rgb_quickly(picture, self.work.0, self.work.1)?, BLUR_PX)?;
         picture.iter_mut().for_each(|value| *value = (*value).max(1));
         let view = View { camera: view.camera.resized(self.work.0, self.work.1), ..view };

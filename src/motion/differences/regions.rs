@@ -94,12 +94,9 @@ fn triples(image: &RgbImage) -> impl IndexedParallelIterator<Item = &[u8]> {
 
 /// Returns true if a pixel is darker than expected by the same ratio in all channels, as shadows are and gray cars.
 fn is_shadow(ratios: [f64; 3]) -> bool {
-    // Full sunlight is brighter than the light of the sky by at most so much; half-shadows, and the sky's color.
-    const DARKEST: f64 = 0.35;
-    const BRIGHTEST: f64 = 0.95;
-    const MOST_COLOR: f64 = 0.12;
     let (least, most) = (ratios.into_iter().fold(f64::MAX, f64::min), ratios.into_iter().fold(0.0, f64::max));
-    least >= DARKEST && most <= BRIGHTEST && most - least <= MOST_COLOR
+    // Full sunlight is brighter than the light of the sky by at most so much; half-shadows, and the sky's color.
+    least >= 0.35 && most <= 0.95 && most - least <= 0.12
 }
 
 /// The smallest or largest value of each channel among a pixel and its neighbors.

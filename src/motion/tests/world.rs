@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 
-use super::{ContactDepth, GroundModel, PointTrack, Surroundings, TrackLabel, View};
+use super::super::{ContactDepth, GroundModel, PointTrack, Surroundings, TrackLabel, View};
 use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, seeded_rng};
 use crate::scene::Rect;
