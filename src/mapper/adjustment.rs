@@ -2,14 +2,17 @@
 
 use std::ops::Range;
 
-use super::intrinsics_prior;
+use nalgebra::Point2;
+
 use super::map::Map;
-use super::{Noise, Options};
+use super::{Noise, Options, intrinsics_prior};
 use crate::bundle::{self, CameraBlock, Observation, PointBlock, PoseBlock, Problem};
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::mapper::MapperError;
+use crate::math::bin;
 
 /// Parameters that are adjusted.
+#[derive(Clone, Debug)]
 pub enum Scope {
     /// All views and points.
     Everything,
@@ -37,24 +40,23 @@ pub struct Stretch {
     pub views: Range<usize>,
     /// Views whose observations count, free or held; those of other views are excluded.
     pub counted: Range<usize>,
-    /// Points per view, as in [`Scope::Selected`]; `None` for all.
-    pub per_view: Option<usize>,
-    /// When it ends; see [`Scope::limits`].
-    pub limits: (usize, f64),
-    /// True if no view turns.
-    pub hold_rotations: bool,
+    /// Of the whole map: which points take part, whether views turn, and when the adjustment ends.
+    pub scope: Box<Scope>,
 }
 
 impl Scope {
     /// Returns true if no view turns.
-    pub fn holds_rotations(&self) -> bool {
-        matches!(self, Self::Positions | Self::Stretch(Stretch { hold_rotations: true, .. }))
+    fn holds_rotations(&self) -> bool {
+        match self {
+            Self::Stretch(stretch) => stretch.scope.holds_rotations(),
+            _ => matches!(self, Self::Positions),
+        }
     }
 
     /// When an adjustment ends: after so many iterations, or at so small a share of the cost.
-    pub fn limits(&self, options: &Options) -> (usize, f64) {
+    fn limits(&self, options: &Options) -> (usize, f64) {
         match self {
-            Self::Stretch(stretch) => stretch.limits,
+            Self::Stretch(stretch) => stretch.scope.limits(options),
             Self::Everything | Self::Points | Self::Selected { .. } => (30, 1e-6),
             Self::Roughly | Self::Positions => (30, options.coarse_tolerance),
             Self::Around(_) => (10, 1e-4),
@@ -86,11 +88,10 @@ impl Freedom {
     /// By camera: nothing of those that are given or see nothing, and of a camera next to others that sees few points
     /// at most a focal length and the first coefficient of distortion: the margin of its picture tells little.
     fn of_cameras(self, map: &Map<'_>) -> Vec<Self> {
-        const FEW_POINTS: usize = 300;
         let num_seen = map.num_points_of_cameras();
         let mut all = vec![Self::Nothing; num_seen.len()];
         for camera in map.unknown_cameras().filter(|&camera| num_seen[camera] > 0) {
-            let few = num_seen.len() > 1 && num_seen[camera] < FEW_POINTS;
+            let few = num_seen.len() > 1 && num_seen[camera] < 300;
             all[camera] = if few { self.min(Self::FocalAndFirstRadial) } else { self };
         }
         all
@@ -119,12 +120,7 @@ pub fn adjust(
     let (tracks, free_views) = taking_part(map, scope, options);
     let mut freedom = intrinsics.of_cameras(map);
     let local = matches!(scope, Scope::Around(_));
-    let ties = match (scope, options.ordered) {
-        (Scope::Around(_), _) => Ties::FewHeld,
-        (Scope::Stretch(stretch), _) => Ties::Counted(stretch.counted.clone()),
-        (_, true) => Ties::Thinned { gap: options.max_track_views },
-        (_, false) => Ties::All,
-    };
+    let ties = Ties::of(scope, options);
     let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
     let (max_iterations, function_tolerance) = scope.limits(options);
     let loss = options.loss(noise);
@@ -164,7 +160,7 @@ fn hold_odd_lenses(freedom: &mut [Freedom], problem: &Problem) -> bool {
 }
 
 /// Which points take part in a scope, by track, and which views are free.
-pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (Vec<bool>, Vec<bool>) {
+fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (Vec<bool>, Vec<bool>) {
     let mut tracks = vec![false; map.table.tracks.len()];
     let mut free_views = vec![true; map.poses.len()];
     match scope {
@@ -188,13 +184,12 @@ pub(super) fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (V
 }
 
 /// Which view and track each block of a problem represents.
-pub(super) struct Parts {
+struct Parts {
     views: Vec<usize>,
     tracks: Vec<usize>,
 }
 
 /// Which observations of points count.
-#[derive(Clone)]
 enum Ties {
     /// All.
     All,
@@ -210,6 +205,15 @@ enum Ties {
 }
 
 impl Ties {
+    fn of(scope: &Scope, options: &Options) -> Self {
+        match (scope, options.ordered) {
+            (Scope::Around(_), _) => Self::FewHeld,
+            (Scope::Stretch(stretch), _) => Self::Counted(stretch.counted.clone()),
+            (_, true) => Self::Thinned { gap: options.max_track_views },
+            (_, false) => Self::All,
+        }
+    }
+
     fn counts(&self, view: usize) -> bool {
         !matches!(self, Self::Counted(views) if !views.contains(&view))
     }
@@ -218,30 +222,10 @@ impl Ties {
 /// Views that hold a point in a local adjustment. More would hold it no better, and take most of the time.
 const MOST_HELD: usize = 8;
 
-/// The problem of adjusting some points and views.
-pub(super) fn build(
-    map: &Map<'_>,
-    tracks: &[bool],
-    free_views: &[bool],
-    intrinsics: Freedom,
-    noise: Noise,
-    options: &Options,
-) -> (Problem, Parts) {
-    let ties = if options.ordered { Ties::Thinned { gap: options.max_track_views } } else { Ties::All };
-    build_with(map, tracks, free_views, &intrinsics.of_cameras(map), noise, &ties)
-}
-
-/// The problem of a stretch.
-pub(super) fn build_stretch(
-    map: &Map<'_>,
-    stretch: &Stretch,
-    intrinsics: Freedom,
-    noise: Noise,
-    options: &Options,
-) -> Problem {
-    let (tracks, free_views) = taking_part(map, &Scope::Stretch(stretch.clone()), options);
-    let ties = Ties::Counted(stretch.counted.clone());
-    build_with(map, &tracks, &free_views, &intrinsics.of_cameras(map), noise, &ties).0
+/// The problem of an adjustment.
+pub(super) fn build(map: &Map<'_>, scope: &Scope, intrinsics: Freedom, noise: Noise, options: &Options) -> Problem {
+    let (tracks, free_views) = taking_part(map, scope, options);
+    build_with(map, &tracks, &free_views, &intrinsics.of_cameras(map), noise, &Ties::of(scope, options)).0
 }
 
 /// The same with a freedom for each camera.
@@ -336,9 +320,9 @@ fn neighbourhood(map: &Map<'_>, view: usize, count: usize) -> Vec<bool> {
 /// Marks the points that a stretch sees, and that count at least twice.
 fn select_of_stretch(map: &Map<'_>, stretch: &Stretch, tracks: &mut [bool]) {
     let views: Vec<usize> = map.registered().filter(|view| stretch.views.contains(view)).collect();
-    match stretch.per_view {
-        Some(per_view) => select_tracks(map, per_view, views.into_iter(), tracks),
-        None => views.iter().for_each(|&v| map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true)),
+    match *stretch.scope {
+        Scope::Selected { per_view } => select_tracks(map, per_view, views.into_iter(), tracks),
+        _ => views.iter().for_each(|&v| map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true)),
     }
     let counted = |track: usize| map.observations(track).filter(|(_, view, _)| stretch.counted.contains(view));
     for (track, used) in tracks.iter_mut().enumerate().filter(|(_, used)| **used) {
@@ -346,21 +330,27 @@ fn select_of_stretch(map: &Map<'_>, stretch: &Stretch, tracks: &mut [bool]) {
     }
 }
 
+/// Cells of a grid over an image: of about the same shape in frames of 4:3 and 16:9.
+const GRID: [usize; 2] = [8, 6];
+const NUM_CELLS: usize = GRID[0] * GRID[1];
+
+/// The cell of a pixel.
+pub(super) fn cell_of(pixel: Point2<f64>, camera: &Camera) -> usize {
+    let [width, height] = [camera.width, camera.height].map(f64::from);
+    bin(pixel.y / height, GRID[1]) * GRID[0] + bin(pixel.x / width, GRID[0])
+}
+
 /// Marks, for every one of some registered views, the longest tracks in each cell of a grid over its image, until it
 /// has enough.
 fn select_tracks(map: &Map<'_>, per_view: usize, views: impl Iterator<Item = usize>, selected: &mut [bool]) {
-    // Cells of about the same shape in frames of 4:3 and 16:9.
-    const GRID: [usize; 2] = [8, 6];
-    let per_cell = (per_view / (GRID[0] * GRID[1])).max(1);
+    let per_cell = (per_view / NUM_CELLS).max(1);
     let length: Vec<usize> = (0..selected.len()).map(|track| map.observations(track).count()).collect();
     for view in views {
         let camera = map.camera_of(view);
-        let mut cells: Vec<Vec<usize>> = vec![Vec::new(); GRID[0] * GRID[1]];
+        let mut cells: Vec<Vec<usize>> = vec![Vec::new(); NUM_CELLS];
         for s in map.visible(view) {
             let (_, pixel) = map.feature(s.track as usize, s.slot as usize);
-            let cell = |at: f64, side: u32, n: usize| ((at / f64::from(side) * n as f64) as usize).min(n - 1);
-            let index = cell(pixel.y, camera.height, GRID[1]) * GRID[0] + cell(pixel.x, camera.width, GRID[0]);
-            cells[index].push(s.track as usize);
+            cells[cell_of(pixel, camera)].push(s.track as usize);
         }
         for mut cell in cells {
             cell.sort_by_key(|&track| (!selected[track], usize::MAX - length[track], track));
@@ -368,8 +358,7 @@ fn select_tracks(map: &Map<'_>, per_view: usize, views: impl Iterator<Item = usi
         }
     }
     // An object fills a few cells of the grid: below this number of points selection saves nothing worth having.
-    const FEW_POINTS: usize = 1500;
-    if map.num_points() <= FEW_POINTS {
+    if map.num_points() <= 1500 {
         selected.iter_mut().enumerate().for_each(|(track, used)| *used = map.point(track).is_some());
     }
 }

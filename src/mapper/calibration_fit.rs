@@ -23,15 +23,11 @@
 //! is χ² with as many degrees of freedom as δ has elements, if the calibration is right. Parameters that the prior
 //! determines more than the observations do are no evidence.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Matrix6, Vector6};
 
-use super::focal_changes::{longest_tracks, noise, options};
+use super::focal_changes::{longest_tracks, noise, options, problem_of};
 use super::{Intrinsics, intrinsics_prior};
-use crate::bundle::{
-    self, BundleError, COMMON_ERROR_FACTOR, CameraBlock, Observation, PointBlock, PoseBlock, Problem, Wanted,
-};
+use crate::bundle::{self, BundleError, COMMON_ERROR_FACTOR, CameraBlock, Problem, Wanted};
 use crate::camera::Camera;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
@@ -156,40 +152,12 @@ fn sample(model: &Reconstruction, id: CameraId, camera: &Camera) -> Problem {
         model.images.iter().filter(|(_, image)| image.camera == id).map(|(id, image)| (*id, image)).collect();
     let first = all.len().saturating_sub(MOST_VIEWS) / 2;
     let views = &all[first..all.len().min(first + MOST_VIEWS)];
-    let view_of: BTreeMap<ImageId, u32> = views.iter().map(|(id, _)| *id).zip(0..).collect();
-    let pose =
-        |(_, image): &(ImageId, &Image)| PoseBlock { cam_from_world: image.cam_from_world, camera: 0, fixed: false };
-    let mut problem = Problem {
-        cameras: vec![CameraBlock::fixed(*camera)],
-        poses: views.iter().map(pose).collect(),
-        ..Problem::default()
-    };
-    for id in longest_tracks(model, camera, views.iter().map(|(_, image)| *image)) {
-        let Some(point) = model.points.get(&id) else { continue };
-        let index = problem.points.len() as u32;
-        let seen = point.track.iter().filter_map(|element| {
-            let view = *view_of.get(&element.image)?;
-            let pixel = views[view as usize].1.observations.get(element.observation_idx as usize)?.pixel;
-            Some(Observation::new(view, index, pixel))
-        });
-        let before = problem.observations.len();
-        problem.observations.extend(seen);
-        match problem.observations.len() - before {
-            0 | 1 => problem.observations.truncate(before),
-            _ => problem.points.push(PointBlock { position: point.position, fixed: false }),
-        }
-    }
-    problem
+    let points = longest_tracks(model, camera, views.iter().map(|(_, image)| *image));
+    Problem { cameras: vec![CameraBlock::fixed(*camera)], ..problem_of(model, views, &points, |_| true) }
 }
 
 fn mean_error_px(problem: &Problem) -> f64 {
-    let error = |o: &Observation| {
-        let pose = &problem.poses[o.pose as usize];
-        let point_in_cam = pose.cam_from_world * problem.points[o.point as usize].position;
-        let pixel = problem.cameras[pose.camera].camera.pixel_from_cam(point_in_cam)?;
-        Some((pixel - o.pixel).norm())
-    };
-    let errors: Vec<f64> = problem.observations.iter().filter_map(error).collect();
+    let errors: Vec<f64> = problem.errors_px().collect();
     errors.iter().sum::<f64>() / errors.len().max(1) as f64
 }
 

@@ -17,7 +17,7 @@ use super::windows::{self, LensEvidence};
 use super::{Noise, Options};
 use crate::bundle::{self, COMMON_ERROR_FACTOR, Problem};
 use crate::mapper::MapperError;
-use crate::math::RobustLoss;
+use crate::math::{RobustLoss, bin};
 
 /// Less noise is rounding, of tracks without any.
 const MIN_SIGMA_PX: f64 = 1e-6;
@@ -41,11 +41,8 @@ impl FocalEvidence {
     /// Errors that groups have in common with one another do not show in the sandwich; a factor of two covers them on
     /// the sequences of docs/benchmarks/focal-length.md. Beyond a factor of e nothing is known at all.
     pub fn deviation(&self, guess: f64) -> f64 {
-        const FACTOR: f64 = 2.0;
-        // Photographs come from one or two cameras; more would multiply the cost of the last adjustment.
-        const MOST: f64 = 1.0;
-        let information = (FACTOR * self.in_groups).powi(-2) + guess.powi(-2);
-        information.sqrt().recip().hypot(self.shift).min(MOST)
+        let information = (2.0 * self.in_groups).powi(-2) + guess.powi(-2);
+        information.sqrt().recip().hypot(self.shift).min(1.0)
     }
 }
 
@@ -58,12 +55,12 @@ pub(super) fn leading_camera(map: &Map<'_>) -> Option<usize> {
 /// The cameras that are asked for their deviation: of those that are looked for and see something, the first one, and
 /// those with most views, as far as it costs no more than the last adjustments do.
 pub(super) fn asked_cameras(map: &Map<'_>) -> Vec<usize> {
-    const MOST: usize = 8;
     let counts = map.num_views_of_cameras();
     let is_asked = |&camera: &usize| counts[camera] > 0 && map.known.of(camera).focal > 0.0;
     let mut asked: Vec<usize> = map.unknown_cameras().filter(is_asked).collect();
     asked.sort_by_key(|&camera| (camera > 0, usize::MAX - counts[camera], camera));
-    asked.truncate(MOST);
+    // Photographs come from one or two cameras; more would multiply the cost of the last adjustment.
+    asked.truncate(8);
     asked
 }
 
@@ -128,8 +125,8 @@ pub(super) fn focal_deviation_here(
     let probe = Probe::new(map, sigma_px, options);
     let bundle_options = bundle::Options { loss: options.loss(probe.noise), ..bundle::Options::default() };
     let mut told: Option<LensEvidence> = None;
-    for part in &probe.parts {
-        let mut problem = probe.trial(map, part, Freedom::FocalAndRadial);
+    for (scope, _) in &probe.parts {
+        let mut problem = adjustment::build(map, scope, Freedom::FocalAndRadial, probe.noise, options);
         problem.priors.intrinsics.retain(|prior| prior.camera != camera);
         told.get_or_insert_with(|| LensEvidence::none(camera, &problem)).add(&problem, &bundle_options)?;
     }
@@ -152,26 +149,11 @@ pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options)
 
 /// Adjustments on trial, of some points in every part of every view.
 struct Probe<'a> {
-    /// One, but of long videos, which are asked in stretches, each by itself.
-    parts: Vec<Part>,
+    /// What is adjusted together: all, or the stretches of a long video; and when each begins and how long it is, as
+    /// shares of the whole.
+    parts: Vec<(Scope, [f64; 2])>,
     noise: Noise,
     options: &'a Options,
-}
-
-/// Parameters that are adjusted together.
-enum Part {
-    All { tracks: Vec<bool>, free_views: Vec<bool> },
-    Stretch { stretch: Stretch, time: [f64; 2] },
-}
-
-impl Part {
-    /// When it begins, and how long it is, as shares of the whole.
-    fn time(&self) -> [f64; 2] {
-        match self {
-            Self::All { .. } => [0.0, 1.0],
-            Self::Stretch { time, .. } => *time,
-        }
-    }
 }
 
 /// A problem after adjustment.
@@ -188,28 +170,16 @@ const NUM_GROUPS: usize = GROUPS[0] * GROUPS[1] * GROUPS[2];
 
 impl<'a> Probe<'a> {
     fn new(map: &Map<'_>, sigma_px: f64, options: &'a Options) -> Self {
-        let stretches = if windows::is_long(map, options) { windows::apart(map, options) } else { Vec::new() };
         let length = map.poses.len().max(1) as f64;
         let in_time = |stretch: Stretch| {
             let time = [stretch.views.start, stretch.views.len()].map(|views| views as f64 / length);
-            Part::Stretch { stretch, time }
+            (Scope::Stretch(stretch), time)
         };
-        let mut parts: Vec<Part> = stretches.into_iter().map(in_time).collect();
-        if parts.is_empty() {
-            let scope = Scope::Selected { per_view: options.growth_points_per_view };
-            let (tracks, free_views) = adjustment::taking_part(map, &scope, options);
-            parts.push(Part::All { tracks, free_views });
-        }
+        let parts = match windows::is_long(map, options) {
+            true => windows::apart(map, options).into_iter().map(in_time).collect(),
+            false => vec![(Scope::Selected { per_view: options.growth_points_per_view }, [0.0, 1.0])],
+        };
         Self { parts, noise: Noise::Measured { sigma_px }, options }
-    }
-
-    fn trial(&self, map: &Map<'_>, part: &Part, freedom: Freedom) -> Problem {
-        match part {
-            Part::All { tracks, free_views } => {
-                adjustment::build(map, tracks, free_views, freedom, self.noise, self.options).0
-            }
-            Part::Stretch { stretch, .. } => adjustment::build_stretch(map, stretch, freedom, self.noise, self.options),
-        }
     }
 
     /// All parts after adjustment, each from what `change` makes of it.
@@ -223,11 +193,11 @@ impl<'a> Probe<'a> {
         let bundle_options =
             bundle::Options { loss, max_iterations: 20, function_tolerance: 1e-5, ..bundle::Options::default() };
         let mut total = Adjusted { cost: 0.0, by_group: vec![0.0; NUM_GROUPS] };
-        for part in &self.parts {
-            let mut problem = self.trial(map, part, freedom);
+        for (scope, time) in &self.parts {
+            let mut problem = adjustment::build(map, scope, freedom, self.noise, self.options);
             change(&mut problem);
             total.cost += bundle::adjust(&mut problem, &bundle_options)?.final_cost;
-            add_costs_by_group(&problem, loss, part.time(), &mut total.by_group);
+            add_costs_by_group(&problem, loss, *time, &mut total.by_group);
         }
         Ok(total)
     }
@@ -237,11 +207,9 @@ impl<'a> Probe<'a> {
 fn add_costs_by_group(problem: &Problem, loss: RobustLoss, [start, length]: [f64; 2], costs: &mut [f64]) {
     let mut points = vec![(0.0, [0.0; 3], 0.0); problem.points.len()];
     for o in &problem.observations {
-        let pose = &problem.poses[o.pose as usize];
-        let camera = &problem.cameras[pose.camera].camera;
-        let error = camera.project(pose.cam_from_world * problem.points[o.point as usize].position).pixel - o.pixel;
+        let camera = &problem.cameras[problem.poses[o.pose as usize].camera].camera;
         let (cost, place, count) = &mut points[o.point as usize];
-        *cost += 0.5 * loss.evaluate(o.whitening.norm_sq(error))[0];
+        *cost += 0.5 * loss.evaluate(o.whitening.norm_sq(problem.residual_px(o)))[0];
         *count += 1.0;
         let [width, height] = [camera.width, camera.height].map(f64::from);
         let time = start + length * f64::from(o.pose) / problem.poses.len() as f64;
@@ -249,7 +217,7 @@ fn add_costs_by_group(problem: &Problem, loss: RobustLoss, [start, length]: [f64
         place.iter_mut().zip(at).for_each(|(sum, at)| *sum += at);
     }
     for (cost, place, count) in points.into_iter().filter(|(cost, ..)| cost.is_finite()) {
-        let cell = |k: usize| ((place[k] / f64::max(count, 1.0) * GROUPS[k] as f64) as usize).min(GROUPS[k] - 1);
+        let cell = |k: usize| bin(place[k] / f64::max(count, 1.0), GROUPS[k]);
         costs[(cell(2) * GROUPS[1] + cell(1)) * GROUPS[0] + cell(0)] += cost;
     }
 }

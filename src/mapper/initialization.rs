@@ -108,10 +108,9 @@ impl<'a> InitializationAttempt<'a> {
         before: f64,
         watch: &mut dyn FnMut(f64),
     ) -> Result<(), MapperError> {
-        // Growing takes about so much, the last adjustments the rest.
-        const GROWTH_SHARE: f64 = 0.7;
         let usable = self.num_usable().max(1) as f64;
-        mapper.grow(&mut |registered| watch((before + GROWTH_SHARE * registered as f64 / usable) / (before + 1.0)))?;
+        // Growing takes about 0.7 of the time, the last adjustments the rest.
+        mapper.grow(&mut |registered| watch((before + 0.7 * registered as f64 / usable) / (before + 1.0)))?;
         mapper.finish()
     }
 

@@ -55,8 +55,7 @@ pub fn cut_long_tracks(
 /// Spreads indices evenly over 0..range: multiples of the golden ratio, of which neighbours lie far apart.
 fn extra(index: usize, range: usize) -> usize {
     // 2³² divided by the golden ratio.
-    const GOLDEN: u32 = 0x9E37_79B9;
-    ((u64::from((index as u32).wrapping_mul(GOLDEN)) * range as u64) >> 32) as usize
+    ((u64::from((index as u32).wrapping_mul(0x9E37_79B9)) * range as u64) >> 32) as usize
 }
 
 /// Cuts a track into pieces: the first is over when `first` of its views have counted, every other after `later`.

@@ -209,19 +209,19 @@ impl<'a> Map<'a> {
 
     /// Marks features as observations of their points.
     pub fn activate(&mut self, slots: impl IntoIterator<Item = Slot>) {
-        for s in slots {
-            if let Some(point) = &mut self.points[s.track as usize] {
-                point.active[s.slot as usize] = true;
-            }
-        }
+        self.mark(slots, true);
     }
 
     /// Takes a view out again, with all its observations.
     pub fn unregister(&mut self, view: usize) {
         self.poses[view] = None;
-        for s in self.slots_of_view[view].clone() {
+        self.mark(self.slots_of_view[view].clone(), false);
+    }
+
+    fn mark(&mut self, slots: impl IntoIterator<Item = Slot>, is_active: bool) {
+        for s in slots {
             if let Some(point) = &mut self.points[s.track as usize] {
-                point.active[s.slot as usize] = false;
+                point.active[s.slot as usize] = is_active;
             }
         }
     }
@@ -312,10 +312,9 @@ impl<'a> Map<'a> {
 
     /// Looks whether points were lost for more than so many views and found again, more than chance would have it.
     pub fn look_for_places_that_come_back(&mut self, gap: usize) {
-        // Fewer returns happen by wrong matches.
-        const FEW: usize = 20;
         let is_far = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize > gap;
-        self.comes_back = self.table.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(FEW).is_some();
+        // Fewer returns happen by wrong matches.
+        self.comes_back = self.table.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(20).is_some();
     }
 
     fn set_point(&mut self, track: usize, point: Option<MapPoint>) {
@@ -348,6 +347,19 @@ impl<'a> Map<'a> {
         })
     }
 
+    /// Number of observations of all known points.
+    pub fn num_observations(&self) -> usize {
+        (0..self.points.len()).map(|track| self.observations(track).count()).sum()
+    }
+
+    /// Number of observations of known points, by view.
+    pub fn num_observations_of_views(&self) -> Vec<usize> {
+        let mut counts = vec![0; self.poses.len()];
+        let all = (0..self.points.len()).flat_map(|track| self.observations(track));
+        all.for_each(|(_, view, _)| counts[view] += 1);
+        counts
+    }
+
     /// Number of observations that the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
     /// units of the whitening) or where its point or view is unknown.
     pub fn num_explained(&self, max_error: f64) -> f64 {
@@ -366,10 +378,9 @@ impl<'a> Map<'a> {
     /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ). Of long videos a part of the tracks, all over
     /// them, tells as much as all.
     pub fn noise(&self) -> Noise {
-        // A median of so many is right to a hundredth.
-        const ENOUGH_TRACKS: usize = 20_000;
+        // A median of 20,000 tracks is right to a hundredth.
         let errors: Vec<f64> = (0..self.points.len())
-            .step_by((self.points.len() / ENOUGH_TRACKS).max(1))
+            .step_by((self.points.len() / 20_000).max(1))
             .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
             .flat_map(|(track, position)| {
                 self.observations(track)

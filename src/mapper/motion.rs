@@ -17,7 +17,7 @@ use serde::{Deserialize, Serialize};
 use super::Intrinsics;
 use super::map::Map;
 use crate::geometry::two_view::TwoViewGeometry;
-use crate::math::symmetric_eigen;
+use crate::math::{lower_quantile, symmetric_eigen};
 
 /// Motion between two views, as far as they determine it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,15 +33,12 @@ pub enum PairMotion {
 /// Judges a pair between which something moves by its homography.
 pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion {
     // The rest are outliers of the homography, as any estimate has.
-    const EXPLAINED: f64 = 0.9;
-    let turn = geometry.homography.is_some_and(|h| geometry.homography_share >= EXPLAINED && is_turn(&h, intrinsics));
+    let turn = geometry.homography.is_some_and(|h| geometry.homography_share >= 0.9 && is_turn(&h, intrinsics));
     if turn { PairMotion::Turn } else { PairMotion::Other }
 }
 
 /// Returns true if a homography between normalized positions is a rotation, for the given or for any focal length.
 fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
-    // Of a plane that is seen under two directions it differs by about their angle: this is half a degree.
-    const TOLERANCE: f64 = 0.008;
     // Two standard deviations and a margin: from 0.4 to 2.5 times a guess, in 40 steps to either side.
     const SPAN: f64 = 2.29;
     const STEP: f64 = 0.022907;
@@ -55,8 +52,8 @@ fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
         let m = m / determinant.cbrt();
         (m.transpose() * m - Matrix3::identity()).norm()
     };
-    let least = scales.iter().map(deviation).fold(f64::INFINITY, f64::min);
-    least <= TOLERANCE
+    // Of a plane that is seen under two directions it differs by about their angle: this is half a degree.
+    scales.iter().map(deviation).fold(f64::INFINITY, f64::min) <= 0.008
 }
 
 /// Counts of what the pairs of views tell.
@@ -81,8 +78,7 @@ impl Survey {
     /// Why no map can start, where that lies in the motion.
     pub fn failure(&self) -> Option<String> {
         // A clear majority of the pairs tried.
-        const MOST: f64 = 0.7;
-        let is_most = |count: usize| count > 0 && count as f64 >= MOST * self.total as f64;
+        let is_most = |count: usize| count > 0 && count as f64 >= 0.7 * self.total as f64;
         if is_most(self.still) {
             Some(format!(
                 "camera stationary: no motion in {} of {} pairs of frames; the camera must move around the target",
@@ -129,8 +125,7 @@ impl fmt::Display for ModelWeakness {
             }
             Self::LooseFocalLength { percent } => {
                 // Beyond this the number itself means nothing.
-                const UNKNOWN: f64 = 20.0;
-                if *percent < UNKNOWN {
+                if *percent < 20.0 {
                     write!(f, "focal length uncertain (±{percent:.1} %)")?;
                 } else {
                     write!(f, "focal length almost undetermined by the motion")?;
@@ -155,8 +150,6 @@ pub fn remarks_on(map: &Map<'_>) -> Vec<ModelWeakness> {
 
 /// Returns true if nine points in ten lie within a hundredth of the median distance of a plane.
 fn is_planar(map: &Map<'_>) -> bool {
-    const MAX_THICKNESS: f64 = 0.01;
-    const SHARE: f64 = 0.9;
     let mut points: Vec<Vector3<f64>> =
         (0..map.table.tracks.len()).filter_map(|t| Some(map.point(t)?.position.coords)).collect();
     let Some(center) = map.registered().next().and_then(|v| map.poses[v]).map(|pose| pose.center().coords) else {
@@ -165,11 +158,8 @@ fn is_planar(map: &Map<'_>) -> bool {
     if points.len() < 20 {
         return false;
     }
-    let middle = |mut values: Vec<f64>, share: f64| {
-        let k = ((values.len() - 1) as f64 * share) as usize;
-        *values.select_nth_unstable_by(k, f64::total_cmp).1
-    };
-    let distance = middle(points.iter().map(|p| (p - center).norm()).collect(), 0.5);
+    let mut distances: Vec<f64> = points.iter().map(|p| (p - center).norm()).collect();
+    let distance = lower_quantile(&mut distances, 0.5).unwrap_or_default();
     // Three rounds of fitting, each on the nearest nine tenths: points far off the plane would tilt it.
     let mut thickness = f64::INFINITY;
     for _ in 0..3 {
@@ -178,33 +168,26 @@ fn is_planar(map: &Map<'_>) -> bool {
         let Some(eigen) = symmetric_eigen(scatter) else { return false };
         let normal = eigen.eigenvectors.column(eigen.eigenvalues.imin()).into_owned();
         let off: Vec<f64> = points.iter().map(|p| (p - mean).dot(&normal).abs()).collect();
-        let limit = middle(off.clone(), SHARE);
-        if thickness.is_infinite() {
-            thickness = limit;
-        }
+        let Some(limit) = lower_quantile(&mut off.clone(), 0.9) else { return false };
         thickness = thickness.min(limit);
-        let keep: Vec<Vector3<f64>> =
-            points.iter().zip(&off).filter(|(_, d)| **d <= 3.0 * limit).map(|(p, _)| *p).collect();
-        points = keep;
+        points = points.iter().zip(&off).filter(|(_, d)| **d <= 3.0 * limit).map(|(p, _)| *p).collect();
     }
-    thickness <= MAX_THICKNESS * distance
+    thickness <= 0.01 * distance
 }
 
 /// Returns true if nearly all steps from view to view go along the line of sight.
 fn is_forward(map: &Map<'_>) -> bool {
-    // Eleven degrees: parallax is then a fifth of that of sideways motion, at most.
-    const MAX_ANGLE: f64 = 0.2;
-    const SHARE: f64 = 0.9;
     let poses: Vec<_> = map.registered().filter_map(|v| map.poses[v]).collect();
     let steps: Vec<Vector3<f64>> = poses.windows(2).map(|w| w[1].center() - w[0].center()).collect();
     let longest = steps.iter().map(Vector3::norm).fold(0.0, f64::max);
     let along = poses.iter().zip(&steps).filter(|(_, step)| step.norm() > 0.1 * longest).map(|(pose, step)| {
         let forward = pose.rotation.inverse() * Vector3::z();
         let angle = forward.angle(step);
-        angle.min(std::f64::consts::PI - angle) <= MAX_ANGLE
+        // Eleven degrees: parallax is then a fifth of that of sideways motion, at most.
+        angle.min(std::f64::consts::PI - angle) <= 0.2
     });
     let along: Vec<bool> = along.collect();
-    along.len() >= 2 && along.iter().filter(|&&a| a).count() as f64 >= SHARE * along.len() as f64
+    along.len() >= 2 && along.iter().filter(|&&a| a).count() as f64 >= 0.9 * along.len() as f64
 }
 
 #[cfg(test)]

@@ -4,9 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::map::Map;
 use super::motion::{ModelWeakness, Survey};
-use crate::features::tracks::TrackTable;
+use crate::features::tracks::{TrackTable, View};
 use crate::scene::ImageId;
 
 /// Why a view is not part of the map.
@@ -157,20 +156,15 @@ impl Report {
         self.focal_deviations.first().copied().flatten()
     }
 
-    pub(super) fn of_views(map: &Map<'_>, failure: impl Fn(usize) -> Option<Reason>) -> Vec<Outcome> {
-        let outcome = |(view, source): (usize, &crate::features::tracks::View)| Outcome {
-            image: source.image,
-            name: source.name.clone(),
-            failure: if map.poses[view].is_some() { None } else { failure(view) },
-        };
-        map.table.views.iter().enumerate().map(outcome).collect()
+    pub(super) fn of_views(views: &[View], failure: impl Fn(usize) -> Option<Reason>) -> Vec<Outcome> {
+        let outcome =
+            |(k, view): (usize, &View)| Outcome { image: view.image, name: view.name.clone(), failure: failure(k) };
+        views.iter().enumerate().map(outcome).collect()
     }
 
     /// The report of a target that no pair of views could start.
     pub(super) fn without_start(table: &TrackTable, num_pairs: usize, num_starts: usize, survey: &Survey) -> Self {
-        let map = Map::new(table, &[]);
-        let seen = |view: &crate::features::tracks::View| !view.pixels.is_empty();
-        let num_seen = table.views.iter().filter(|v| seen(v)).count();
+        let num_seen = table.views.iter().filter(|view| !view.pixels.is_empty()).count();
         let failure = if num_seen < 2 {
             format!("features in {num_seen} of {} frames; a reconstruction needs at least two", table.views.len())
         } else if table.tracks.is_empty() {
@@ -186,6 +180,6 @@ impl Report {
         };
         let reason =
             |view: usize| Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart });
-        Self { views: Self::of_views(&map, reason), num_starts, failure: Some(failure), ..Self::default() }
+        Self { views: Self::of_views(&table.views, reason), num_starts, failure: Some(failure), ..Self::default() }
     }
 }

@@ -49,7 +49,7 @@ pub fn sweep(map: &mut Map<'_>, scope: &Scope, noise: Noise, options: &Options) 
         let end = views.len().min(start + WINDOW);
         let (first, last) = (views[start], views[end - 1]);
         let behind = last + 1;
-        let stretch = stretch_of(scope, first..behind, 0..behind, options);
+        let stretch = Stretch { views: first..behind, counted: 0..behind, scope: Box::new(scope.clone()) };
         let before = Carrier::new(map, last);
         let taken = adjustment::adjust(map, &Scope::Stretch(stretch), Freedom::Nothing, noise, options)?;
         adjusted.iter_mut().zip(&taken).for_each(|(all, taken)| *all |= taken);
@@ -85,29 +85,22 @@ pub fn adjust_end(
     noise: Noise,
     options: &Options,
 ) -> Result<Vec<bool>, MapperError> {
-    let scope = Scope::Selected { per_view: options.growth_points_per_view };
-    let stretch = stretch_of(&scope, views, 0..usize::MAX, options);
+    let stretch = Stretch { views, counted: 0..usize::MAX, scope: growth_scope(options) };
     adjustment::adjust(map, &Scope::Stretch(stretch), Freedom::Nothing, noise, options)
 }
 
-fn stretch_of(scope: &Scope, views: Range<usize>, counted: Range<usize>, options: &Options) -> Stretch {
-    let per_view = match scope {
-        Scope::Selected { per_view } => Some(*per_view),
-        _ => None,
-    };
-    let (limits, hold_rotations) = (scope.limits(options), scope.holds_rotations());
-    Stretch { views, counted, per_view, limits, hold_rotations }
+fn growth_scope(options: &Options) -> Box<Scope> {
+    Box::new(Scope::Selected { per_view: options.growth_points_per_view })
 }
 
 /// Stretches of a map that share no observation, on some points in every part of every view; of one that is not long
 /// there is one.
 pub fn apart(map: &Map<'_>, options: &Options) -> Vec<Stretch> {
     let views: Vec<usize> = map.registered().collect();
-    let scope = Scope::Selected { per_view: options.growth_points_per_view };
     let count = (views.len() / WINDOW).max(1);
     let place = |k: usize| k * views.len() / count;
     let ends = (0..count).map(|k| views[place(k)]..views[place(k + 1) - 1] + 1);
-    ends.map(|range| stretch_of(&scope, range.clone(), range, options)).collect()
+    ends.map(|range| Stretch { views: range.clone(), counted: range, scope: growth_scope(options) }).collect()
 }
 
 /// A view at the end of a window, as it was, and how deep its points lay.
@@ -238,7 +231,7 @@ pub fn refine_lens(map: &mut Map<'_>, freedom: Freedom, noise: Noise, options: &
     let here = map.cameras[0];
     let mut all: Option<LensEvidence> = None;
     for stretch in apart(map, options) {
-        let mut problem = adjustment::build_stretch(map, &stretch, freedom, noise, options);
+        let mut problem = adjustment::build(map, &Scope::Stretch(stretch), freedom, noise, options);
         problem.priors.intrinsics.clear();
         let evidence = all.get_or_insert_with(|| LensEvidence::none(0, &problem));
         if let Some(information) = evidence.add(&problem, &bundle_options)? {

@@ -45,14 +45,6 @@ pub struct Options {
     pub mapper: crate::mapper::Options,
 }
 
-/// Pairing of unordered pictures: that of the options unless it is one of frames in order.
-fn unordered_pairing(pairing: Pairing) -> Pairing {
-    match pairing {
-        Pairing::Sequential { .. } => Pairing::UNORDERED,
-        of_any_order => of_any_order,
-    }
-}
-
 impl Options {
     /// For a target in a video.
     pub fn of(target: Target) -> Self {
@@ -86,7 +78,9 @@ impl Options {
             (FrontEndKind::Video, Target::Background) => SiftOptions::unordered(),
         };
         front_end.kind = FrontEndKind::Sift;
-        front_end.sift.pairing = unordered_pairing(front_end.sift.pairing);
+        if let Pairing::Sequential { .. } = front_end.sift.pairing {
+            front_end.sift.pairing = Pairing::UNORDERED;
+        }
         Self { front_end, mapper: crate::mapper::Options { ordered: false, ..self.mapper } }
     }
 

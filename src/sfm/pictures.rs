@@ -3,8 +3,7 @@
 use super::{Options, SfmError};
 use crate::camera::Camera;
 use crate::features::FrontEnd;
-use crate::image::Picture;
-use crate::image::RgbImage;
+use crate::image::{Picture, RgbImage};
 use crate::mapper::{Intrinsics, Report, cut_long_tracks, reconstruct};
 use crate::scene::{Frame, Mask, Reconstruction};
 

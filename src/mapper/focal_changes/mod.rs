@@ -19,15 +19,16 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use nalgebra::{UnitQuaternion, Vector3};
+use nalgebra::{Point2, UnitQuaternion, Vector3};
 
+use super::adjustment::cell_of;
 use crate::bundle::{
     self, BundleError, COMMON_ERROR_FACTOR, CameraBlock, IntrinsicsPrior, Observation, PointBlock, PoseBlock, Problem,
     Wanted,
 };
 use crate::camera::Camera;
 use crate::math::{RAYLEIGH_MEDIAN, Rigid3, RobustLoss, upper_median};
-use crate::scene::{FocalChange, Image, ImageId, Point3dId, Reconstruction};
+use crate::scene::{FocalChange, Image, ImageId, Point3dId, Reconstruction, TrackElement};
 
 /// Minimum change of ln f that counts: twice the largest on 13 clips without a zoom (5 %, a high drone over a nearly
 /// planar scene). Stabilization and focus breathing change the focal length by 1 to 3 %.
@@ -101,29 +102,52 @@ pub(super) fn longest_tracks<'a>(
     camera: &Camera,
     images: impl Iterator<Item = &'a Image>,
 ) -> BTreeSet<Point3dId> {
-    // As in the selection of tracks for adjustments (`mapper/adjustment.rs`).
-    const GRID: [usize; 2] = [8, 6];
-    const PER_CELL: usize = 2;
-    // Two views show a point at any depth and focal length.
-    const LEAST_TRACK: usize = 3;
-    let [width, height] = [camera.width, camera.height].map(f64::from);
-    let cell = |at: f64, side: f64, n: usize| ((at / side * n as f64) as usize).min(n - 1);
     let mut points = BTreeSet::new();
     for image in images {
         let mut cells: BTreeMap<usize, Vec<(bool, usize, Point3dId)>> = BTreeMap::new();
         for (seen, id) in image.observations.iter().filter_map(|seen| Some((seen, seen.point?))) {
             let Some(length) = model.points.get(&id).map(|point| point.track.len()) else { continue };
-            let at = cell(seen.pixel.y, height, GRID[1]) * GRID[0] + cell(seen.pixel.x, width, GRID[0]);
-            if length >= LEAST_TRACK {
-                cells.entry(at).or_default().push((!points.contains(&id), usize::MAX - length, id));
+            // Two views show a point at any depth and focal length.
+            if length >= 3 {
+                let cell = cells.entry(cell_of(seen.pixel, camera)).or_default();
+                cell.push((!points.contains(&id), usize::MAX - length, id));
             }
         }
         for mut cell in cells.into_values() {
             cell.sort_unstable();
-            points.extend(cell.into_iter().take(PER_CELL).map(|(.., id)| id));
+            points.extend(cell.into_iter().take(2).map(|(.., id)| id));
         }
     }
     points
+}
+
+/// The problem of some images of the first camera and of the points that at least two of them observe, without cameras.
+///
+/// * `takes_part` – of a point, by the images that observe it, as indices, and the pixels there.
+pub(super) fn problem_of(
+    model: &Reconstruction,
+    images: &[(ImageId, &Image)],
+    points: &BTreeSet<Point3dId>,
+    takes_part: impl Fn(&[(u32, Point2<f64>)]) -> bool,
+) -> Problem {
+    let index_of: BTreeMap<ImageId, u32> = images.iter().map(|(id, _)| *id).zip(0..).collect();
+    let pose =
+        |(_, image): &(ImageId, &Image)| PoseBlock { cam_from_world: image.cam_from_world, camera: 0, fixed: false };
+    let mut problem = Problem { poses: images.iter().map(pose).collect(), ..Problem::default() };
+    for point in points.iter().filter_map(|id| model.points.get(id)) {
+        let observed = |element: &TrackElement| {
+            let index = *index_of.get(&element.image)?;
+            let observations = &images[index as usize].1.observations;
+            Some((index, observations.get(element.observation_idx as usize)?.pixel))
+        };
+        let seen: Vec<(u32, Point2<f64>)> = point.track.iter().filter_map(observed).collect();
+        if seen.len() >= 2 && takes_part(&seen) {
+            let index = problem.points.len() as u32;
+            problem.points.push(PointBlock { position: point.position, fixed: false });
+            problem.observations.extend(seen.into_iter().map(|(view, pixel)| Observation::new(view, index, pixel)));
+        }
+    }
+    problem
 }
 
 /// ln f of every view, its standard deviation relative to that of the first view, and the points that it sees.
@@ -176,11 +200,10 @@ impl<'a> Window<'a> {
 
     /// Adjusts everything with a focal length for every view.
     fn focal_lengths(&self, part: Part) -> Result<FocalLengths, BundleError> {
-        // The residuals of the first round are those of the map.
-        const ROUNDS: usize = 2;
         let mut problem = self.problem(part);
         let focal = self.camera.focal;
-        for _ in 0..ROUNDS {
+        // The residuals of the first round are those of the map.
+        for _ in 0..2 {
             let sigma_px = noise(&problem);
             problem.priors.intrinsics =
                 (0..problem.cameras.len()).map(|camera| prior(camera, &self.camera, sigma_px)).collect();
@@ -210,36 +233,15 @@ impl<'a> Window<'a> {
         let [old, new] = [&self.map_camera, &self.camera].map(|camera| camera.ray_from_pixel(middle));
         let turn = UnitQuaternion::rotation_between(&old, &new).unwrap_or_default();
         let turn = Rigid3::new(turn, Vector3::zeros());
-        let pose = |(camera, (_, image)): (usize, &(ImageId, &Image))| PoseBlock {
-            cam_from_world: turn * image.cam_from_world,
-            camera,
-            fixed: false,
-        };
-        let mut problem = Problem {
-            cameras: vec![block; self.views.len()],
-            poses: self.views.iter().enumerate().map(pose).collect(),
-            ..Problem::default()
-        };
-        let view_of: BTreeMap<ImageId, u32> = self.views.iter().map(|(id, _)| *id).zip(0..).collect();
-        for point in self.points.iter().filter_map(|id| self.model.points.get(id)) {
-            let seen: Vec<_> = point
-                .track
-                .iter()
-                .filter_map(|element| {
-                    let view = *view_of.get(&element.image)?;
-                    let observations = &self.views[view as usize].1.observations;
-                    Some((view, observations.get(element.observation_idx as usize)?.pixel))
-                })
-                .collect();
-            let middle = seen.iter().map(|(_, pixel)| pixel.x).sum::<f64>() / seen.len().max(1) as f64;
+        let takes_part = |seen: &[(u32, Point2<f64>)]| {
+            let middle = seen.iter().map(|(_, pixel)| pixel.x).sum::<f64>() / seen.len() as f64;
             let is_left = middle < 0.5 * f64::from(self.camera.width);
-            let is_of_part = part == Part::All || (part == Part::Left) == is_left;
-            if seen.len() < 2 || !is_of_part {
-                continue;
-            }
-            let index = problem.points.len() as u32;
-            problem.points.push(PointBlock { position: point.position, fixed: false });
-            problem.observations.extend(seen.into_iter().map(|(view, pixel)| Observation::new(view, index, pixel)));
+            part == Part::All || (part == Part::Left) == is_left
+        };
+        let mut problem = problem_of(self.model, &self.views, &self.points, takes_part);
+        problem.cameras = vec![block; self.views.len()];
+        for (camera, pose) in problem.poses.iter_mut().enumerate() {
+            (pose.cam_from_world, pose.camera) = (turn * pose.cam_from_world, camera);
         }
         problem
     }
@@ -262,13 +264,7 @@ impl FocalLengths {
 pub(super) fn noise(problem: &Problem) -> f64 {
     // Less is rounding.
     const LEAST_PX: f64 = 1e-3;
-    let residual = |o: &Observation| {
-        let pose = &problem.poses[o.pose as usize];
-        let point_in_cam = pose.cam_from_world * problem.points[o.point as usize].position;
-        let pixel = problem.cameras[pose.camera].camera.pixel_from_cam(point_in_cam)?;
-        Some((pixel - o.pixel).norm())
-    };
-    let median = upper_median(problem.observations.iter().filter_map(residual).collect());
+    let median = upper_median(problem.errors_px().collect());
     median.map_or(LEAST_PX, |median| (median / RAYLEIGH_MEDIAN).max(LEAST_PX))
 }
 
@@ -282,12 +278,10 @@ pub(super) fn options(sigma_px: f64) -> bundle::Options {
 /// Holds a focal length near that of the map where the observations leave it open: from 0.45 to 2.2 times as long
 /// within two standard deviations, which no zoom lens of a phone, a drone or a dash camera exceeds within a clip.
 fn prior(camera: usize, intrinsics: &Camera, sigma_px: f64) -> IntrinsicsPrior {
-    // Half of ln 2.2.
-    const LOG_FOCAL: f64 = 0.4;
     let mut sigma = [f64::INFINITY; 6];
     for (sigma, focal) in sigma.iter_mut().zip(intrinsics.focal) {
-        // It counts once for fx and once for fy, in units of observations with common errors.
-        *sigma = std::f64::consts::SQRT_2 * LOG_FOCAL * focal / (COMMON_ERROR_FACTOR * sigma_px);
+        // Half of ln 2.2. It counts once for fx and once for fy, in units of observations with common errors.
+        *sigma = std::f64::consts::SQRT_2 * 0.4 * focal / (COMMON_ERROR_FACTOR * sigma_px);
     }
     IntrinsicsPrior { camera, values: intrinsics.intrinsics(), sigma }
 }

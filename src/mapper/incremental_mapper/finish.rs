@@ -3,11 +3,9 @@
 use super::super::view_graph::{self, PairVerdict, Thresholds, ViewGraph};
 use super::{Attempt, IncrementalMapper, LOOSE};
 use crate::geometry::resection::{self, Resection};
-use crate::mapper::MapperError;
-use crate::mapper::Noise;
 use crate::mapper::adjustment::{Freedom, Scope};
-use crate::mapper::focal_length;
 use crate::mapper::map::Slot;
+use crate::mapper::{MapperError, Noise, focal_length};
 use crate::math::{Rigid3, seeded_rng};
 
 impl IncrementalMapper<'_> {
@@ -51,12 +49,10 @@ impl IncrementalMapper<'_> {
     /// Adjusts everything on all points, until observations stop changing; then again on those that are left, so
     /// that cameras and points lie at the minimum of exactly what is kept.
     fn adjust_until_settled(&mut self) -> Result<(), MapperError> {
-        // A bound where observations keep changing.
-        const MAX_ROUNDS: usize = 3;
-        const SETTLED_SHARE: f64 = 0.002;
         self.noise = Noise::Unknown;
         self.decide_lens()?;
-        for _ in 0..MAX_ROUNDS {
+        // A bound where observations keep changing.
+        for _ in 0..3 {
             // At those of the last round: at wide limits all outliers would come back.
             let limits = self.limits();
             self.map.triangulate_all(&limits);
@@ -65,8 +61,7 @@ impl IncrementalMapper<'_> {
             self.noise = self.map.noise();
             let limits = self.limits();
             let changed = self.map.update_observations(&limits);
-            let total: usize = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
-            if changed as f64 <= SETTLED_SHARE * total as f64 {
+            if changed as f64 <= 0.002 * self.map.num_observations() as f64 {
                 break;
             }
         }
@@ -94,8 +89,6 @@ impl IncrementalMapper<'_> {
     /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that
     /// rolls down the picture), and bend the map: they go back to the guess.
     fn final_freedom(&mut self, unknown: &[usize]) -> Result<Freedom, MapperError> {
-        // Three standard deviations.
-        const SIGNIFICANT: f64 = 9.0;
         let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
         let deviation = match *unknown {
             [camera] => focal_length::focal_deviation_here(&self.map, camera, sigma_px, self.options)?,
@@ -115,31 +108,25 @@ impl IncrementalMapper<'_> {
         unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = self.map.guess[camera].radial);
         // The noise was that of another lens.
         self.noise = Noise::Unknown;
-        Ok(if gain > SIGNIFICANT { Freedom::FocalAndFirstRadial } else { Freedom::Focal })
+        // Three standard deviations.
+        Ok(if gain > 9.0 { Freedom::FocalAndFirstRadial } else { Freedom::Focal })
     }
 
     /// Takes out the views that contradict the others, and tries them again on what speaks against them.
     fn review_views(&mut self) -> Result<(), MapperError> {
-        // Fewer cannot outvote one; and where a third is wrong, nobody knows which.
-        const MIN_VIEWS: usize = 4;
-        const MAX_SHARE: f64 = 1.0 / 3.0;
         let num_registered = self.map.num_registered();
-        if num_registered < MIN_VIEWS {
+        // Fewer cannot outvote one.
+        if num_registered < 4 {
             return Ok(());
         }
         let graph = ViewGraph::new(&self.map, self.thresholds_of_pairs(), self.seed);
         let opinions = graph.opinions(&self.map, None);
         let wrong = view_graph::contradicted(opinions.clone());
-        if wrong.is_empty() || wrong.len() as f64 > MAX_SHARE * num_registered as f64 {
+        // Where a third is wrong, nobody knows which.
+        if wrong.is_empty() || 3 * wrong.len() > num_registered {
             return Ok(());
         }
-        self.reviewed = true;
-        wrong.iter().for_each(|&view| self.map.unregister(view));
-        self.noise = Noise::Unknown;
-        // Points that a wrong view took part in are found again by the others.
-        let untouched: Vec<bool> =
-            self.map.table.tracks.iter().map(|t| t.iter().all(|f| !wrong.contains(&(f.view as usize)))).collect();
-        self.map.retriangulate(&self.limits(), &untouched);
+        self.take_out(&wrong);
         self.adjust_globally()?;
         for &view in &wrong {
             let accusers = accusers_of(&opinions, view);
@@ -156,17 +143,23 @@ impl IncrementalMapper<'_> {
         Ok(())
     }
 
+    /// Takes out some views; the points that they took part in are triangulated again from the others.
+    pub(super) fn take_out(&mut self, views: &[usize]) {
+        self.reviewed = true;
+        self.noise = Noise::Unknown;
+        views.iter().for_each(|&view| self.map.unregister(view));
+        let untouched: Vec<bool> =
+            self.map.table.tracks.iter().map(|t| t.iter().all(|f| !views.contains(&(f.view as usize)))).collect();
+        self.map.retriangulate(&self.limits(), &untouched);
+    }
+
     /// Required agreement of pairs of views with the map. Frames of a video are registered next to their neighbors in
     /// time, and need less.
     fn thresholds_of_pairs(&self) -> Thresholds {
-        // Covers a two-view geometry's own error besides the noise.
-        const SIGMAS: f64 = 4.0;
-        const LEAST_PX: f64 = 0.5;
         let max_error_px = self.options.max_pose_error_px;
         let fine_px = match self.map.noise() {
-            Noise::Measured { sigma_px } if !self.options.ordered => {
-                Some((SIGMAS * sigma_px).max(LEAST_PX).min(max_error_px))
-            }
+            // Four σ and at least half a pixel: a two-view geometry has an error of its own, besides the noise.
+            Noise::Measured { sigma_px } if !self.options.ordered => Some((4.0 * sigma_px).max(0.5).min(max_error_px)),
             Noise::Measured { .. } | Noise::Unknown => None,
         };
         Thresholds { max_error_px, fine_px }
@@ -193,9 +186,7 @@ impl IncrementalMapper<'_> {
         }
         let Some((found, slots, _)) = best else { return false };
         self.refused[view] = None;
-        self.failed[view] = None;
-        self.map.poses[view] = Some(found.cam_from_world);
-        self.map.activate(found.inliers.iter().map(|&i| slots[i]));
+        self.set_pose(view, &found, &slots);
         true
     }
 
@@ -231,12 +222,7 @@ impl IncrementalMapper<'_> {
 
     /// Takes out views that filtering has left with too few observations to hold a pose.
     pub(super) fn drop_unsupported_views(&mut self) -> Result<(), MapperError> {
-        let mut support = vec![0usize; self.map.poses.len()];
-        for track in 0..self.map.table.tracks.len() {
-            for (_, view, _) in self.map.observations(track) {
-                support[view] += 1;
-            }
-        }
+        let support = self.map.num_observations_of_views();
         let is_weak = |&view: &usize| support[view] < self.options.min_resection_inliers;
         let weak: Vec<usize> = self.map.registered().filter(is_weak).collect();
         if weak.is_empty() {

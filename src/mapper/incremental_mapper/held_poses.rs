@@ -13,11 +13,10 @@ impl IncrementalMapper<'_> {
     ///
     /// Returns the share of the observations in registered views that the points explain.
     pub fn triangulate_from(&mut self, poses: &[Option<Rigid3>]) -> Result<f64, MapperError> {
-        // With the limits of an unknown noise, then with those of the noise that was found.
-        const ROUNDS: usize = 2;
         self.map.poses.copy_from_slice(poses);
         self.noise = Noise::Unknown;
-        for _ in 0..ROUNDS {
+        // With the limits of an unknown noise, then with those of the noise that was found.
+        for _ in 0..2 {
             let limits = self.limits_of_held();
             self.map.triangulate_all(&limits);
             self.map.update_observations(&limits);
@@ -26,8 +25,7 @@ impl IncrementalMapper<'_> {
             self.map.update_observations(&self.limits_of_held());
         }
         self.num_infinite = self.map.reject_infinite_points();
-        let num_tracks = self.map.table.tracks.len();
-        let num_explained: usize = (0..num_tracks).map(|track| self.map.observations(track).count()).sum();
+        let num_explained = self.map.num_observations();
         let is_seen = |view: u32| self.map.poses[view as usize].is_some();
         let num_seen = self.map.table.tracks.iter().flatten().filter(|feature| is_seen(feature.view)).count();
         Ok(num_explained as f64 / num_seen.max(1) as f64)
@@ -35,8 +33,7 @@ impl IncrementalMapper<'_> {
 
     /// Limits where poses are known to a fraction of a pixel: then a parallax of few pixels determines a depth.
     fn limits_of_held(&self) -> Limits {
-        const MIN_ANGLE_OF_HELD: f64 = 0.2;
         let limits = self.limits();
-        Limits { min_angle: MIN_ANGLE_OF_HELD * limits.min_angle, ..limits }
+        Limits { min_angle: 0.2 * limits.min_angle, ..limits }
     }
 }

@@ -6,15 +6,13 @@
 //! like any observation.
 
 use super::IncrementalMapper;
-use crate::mapper::MapperError;
-use crate::mapper::Noise;
 use crate::mapper::adjustment::Scope;
+use crate::mapper::{MapperError, Noise};
 
 /// Distance of a joint's ends, as a share of the picture's longer side: what lies farther apart is another place.
 const WIDEST: f64 = 0.1;
 /// Fewer open joints are outliers.
 const FEW: usize = 20;
-const MAX_ROUNDS: usize = 2;
 
 impl IncrementalMapper<'_> {
     /// Draws together what the drift of a growing map has left open, and takes tracks apart that do not fit where they
@@ -24,7 +22,7 @@ impl IncrementalMapper<'_> {
             return Ok(());
         }
         let longest_px = self.map.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
-        for _ in 0..MAX_ROUNDS {
+        for _ in 0..2 {
             let open = self.map.open_joints(WIDEST * f64::from(longest_px), self.options.max_track_views);
             tracing::debug!("{} observations of re-detected points are outliers", open.len());
             if open.len() < FEW {

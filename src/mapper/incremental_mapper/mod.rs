@@ -14,11 +14,9 @@ use super::adjustment::{self, Freedom, Scope};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, ModelWeakness};
-use super::separate_stretches;
-use super::{Noise, Options, Reason, Report, focal_length, windows};
+use super::{MapperError, Noise, Options, Reason, Report, focal_length, separate_stretches, windows};
 use crate::geometry::resection::{self, Resection};
 use crate::geometry::triangulation::Limits;
-use crate::mapper::MapperError;
 use crate::math::{Rigid3, seeded_rng};
 pub use pose_priors::PosePriors;
 pub use submaps::SubMap;
@@ -144,8 +142,8 @@ impl<'a> IncrementalMapper<'a> {
             true => separate_stretches::stretches(&self.map, self.options.min_resection_inliers),
             false => vec![None; self.map.poses.len()],
         };
-        let views = Report::of_views(&self.map, |view| Some(self.reason(view, stretches[view])));
-        let num_observations = (0..self.map.table.tracks.len()).map(|t| self.map.observations(t).count()).sum();
+        let failure = |view: usize| self.map.poses[view].is_none().then(|| self.reason(view, stretches[view]));
+        let views = Report::of_views(self.map.table.views, failure);
         let names = |pair: &InitialPair| pair.views.map(|v| self.map.table.views[v].name.clone());
         let report = Report {
             views,
@@ -154,12 +152,11 @@ impl<'a> IncrementalMapper<'a> {
             initial_homography_ratio: self.pair.as_ref().map_or(0.0, |p| p.homography_ratio),
             num_starts: 1,
             num_points: self.map.num_points(),
-            num_observations,
+            num_observations: self.map.num_observations(),
             num_infinite_points: self.num_infinite,
-            mean_error_px: None,
             focal_deviations: self.focal_deviations.clone(),
             remarks: self.focal_remark().into_iter().chain(motion::remarks_on(&self.map)).collect(),
-            failure: None,
+            ..Report::default()
         };
         (self.map, report)
     }
@@ -191,11 +188,10 @@ impl<'a> IncrementalMapper<'a> {
 
     /// The unregistered view that sees most known points; one that failed comes back when it sees a fifth more.
     fn next_view(&self) -> Option<usize> {
-        // A fifth more points is new evidence; a few are not.
-        const MORE: f64 = 1.2;
         let ready = |&view: &usize| {
             let (_, visible) = self.map.visibility(view);
-            let retry = self.failed[view].is_none_or(|a| visible as f64 > MORE * a.visible as f64);
+            // A fifth more points is new evidence; a few are not.
+            let retry = self.failed[view].is_none_or(|a| visible as f64 > 1.2 * a.visible as f64);
             self.map.poses[view].is_none()
                 && self.refused[view].is_none()
                 && visible >= self.options.min_resection_inliers
@@ -224,9 +220,7 @@ impl<'a> IncrementalMapper<'a> {
         let inliers = found.as_ref().map_or(0, |r| r.inliers.len());
         match found.filter(|r| self.is_enough(r, visible.len())) {
             Some(resection) => {
-                self.map.poses[view] = Some(resection.cam_from_world);
-                self.map.activate(resection.inliers.iter().map(|&i| visible[i]));
-                self.failed[view] = None;
+                self.set_pose(view, &resection, visible);
                 true
             }
             None => {
@@ -234,6 +228,13 @@ impl<'a> IncrementalMapper<'a> {
                 false
             }
         }
+    }
+
+    /// Registers a view, with the features that agree with its pose as observations.
+    fn set_pose(&mut self, view: usize, found: &Resection, slots: &[Slot]) {
+        self.map.poses[view] = Some(found.cam_from_world);
+        self.map.activate(found.inliers.iter().map(|&i| slots[i]));
+        self.failed[view] = None;
     }
 
     fn is_enough(&self, resection: &Resection, num_visible: usize) -> bool {
@@ -322,14 +323,12 @@ impl<'a> IncrementalMapper<'a> {
         if let Some(reason) = &self.apart[view] {
             return reason.clone();
         }
-        match self.failed[view] {
+        match (self.failed[view], stretch) {
             _ if features == 0 => Reason::NoFeatures,
             _ if in_tracks == 0 => Reason::NoMatches { features },
-            Some(Attempt { visible, inliers }) => Reason::NoPose { visible, inliers },
-            None if stretch.is_some() => {
-                Reason::Apart { ends: stretch.unwrap_or_default().map(|v| self.map.table.views[v].name.clone()) }
-            }
-            None => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
+            (Some(Attempt { visible, inliers }), _) => Reason::NoPose { visible, inliers },
+            (None, Some(ends)) => Reason::Apart { ends: ends.map(|v| self.map.table.views[v].name.clone()) },
+            (None, None) => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
         }
     }
 }

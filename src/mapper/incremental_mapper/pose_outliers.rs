@@ -7,7 +7,6 @@
 
 use super::{Attempt, IncrementalMapper};
 use crate::mapper::MapperError;
-use crate::mapper::Noise;
 use crate::math::upper_median;
 
 /// A step that is so many times the usual one is a leap.
@@ -24,23 +23,14 @@ impl IncrementalMapper<'_> {
         if leapt.is_empty() {
             return Ok(());
         }
-        self.reviewed = true;
-        self.noise = Noise::Unknown;
-        let support: Vec<usize> = leapt.iter().map(|&view| self.num_observations_of(view)).collect();
-        leapt.iter().for_each(|&view| self.map.unregister(view));
-        // Points that such a view took part in are found again by the others.
-        let untouched: Vec<bool> =
-            self.map.table.tracks.iter().map(|t| t.iter().all(|f| !leapt.contains(&(f.view as usize)))).collect();
-        self.map.retriangulate(&self.limits(), &untouched);
-        for (&view, &before) in leapt.iter().zip(&support) {
+        let support = self.map.num_observations_of_views();
+        self.take_out(&leapt);
+        for &view in &leapt {
             let visible = self.map.visible(view);
             let start = self.interpolated(view);
             let found = start.and_then(|start| self.pose_from(view, &visible, Some(start)));
-            match found.filter(|found| found.inliers.len() as f64 >= KEPT * before as f64) {
-                Some(found) => {
-                    self.map.poses[view] = Some(found.cam_from_world);
-                    self.map.activate(found.inliers.iter().map(|&i| visible[i]));
-                }
+            match found.filter(|found| found.inliers.len() as f64 >= KEPT * support[view] as f64) {
+                Some(found) => self.set_pose(view, &found, &visible),
                 None => self.failed[view] = Some(Attempt { visible: visible.len(), inliers: 0 }),
             }
             tracing::debug!(
@@ -50,11 +40,6 @@ impl IncrementalMapper<'_> {
             );
         }
         self.adjust_globally()
-    }
-
-    fn num_observations_of(&self, view: usize) -> usize {
-        let is_active = |slot: &&super::Slot| self.map.observations(slot.track as usize).any(|(_, v, _)| v == view);
-        self.map.visible(view).iter().filter(is_active).count()
     }
 
     /// Registered views between a leap away and a leap back to where the path goes on.

@@ -6,9 +6,8 @@
 
 use super::IncrementalMapper;
 use crate::geometry::triangulation::Limits;
-use crate::mapper::MapperError;
-use crate::mapper::Noise;
 use crate::mapper::adjustment::{Freedom, Scope};
+use crate::mapper::{MapperError, Noise};
 use crate::math::Rigid3;
 
 /// Poses of views beforehand, right to a few degrees and pixels.
@@ -23,8 +22,6 @@ pub struct PosePriors {
 impl IncrementalMapper<'_> {
     /// Starts from poses of many views; `false` where too few points hold after adjustment.
     pub fn start_from(&mut self, known: &PosePriors) -> Result<bool, MapperError> {
-        // Triangulation and adjustment in turns.
-        const ROUNDS: usize = 3;
         for (view, pose) in known.poses.iter().enumerate().take(self.map.poses.len()) {
             if self.map.visibility(view).0 >= self.options.min_resection_inliers {
                 self.map.poses[view] = *pose;
@@ -33,7 +30,8 @@ impl IncrementalMapper<'_> {
         self.noise = Noise::Unknown;
         let limits = self.limits();
         let mut wide = Limits { max_error_px: limits.max_error_px.max(known.error_px), ..limits };
-        for _ in 0..ROUNDS {
+        // Triangulation and adjustment in turns.
+        for _ in 0..3 {
             self.map.triangulate_all(&wide);
             self.map.update_observations(&wide);
             // Cameras that are free to turn would follow points that were triangulated from rough poses (bas-relief).

@@ -16,10 +16,9 @@ use super::IncrementalMapper;
 use crate::camera::Camera;
 use crate::features::tracks::{Feature, TrackTable};
 use crate::geometry::triangulation;
-use crate::mapper::MapperError;
 use crate::mapper::adjustment::Scope;
 use crate::mapper::map::{Slot, Table};
-use crate::mapper::{Intrinsics, KnownIntrinsics, Noise, Reason};
+use crate::mapper::{Intrinsics, KnownIntrinsics, MapperError, Noise, Reason};
 use crate::math::{Rigid3, Sim3, seeded_rng};
 use similarity::{Similarity, Tie};
 

@@ -108,10 +108,9 @@ impl Estimator for SimilarityEstimator<'_> {
     }
 
     fn refine(&self, first_from_other: &Sim3, inliers: &[usize]) -> Option<Sim3> {
-        // Gauss–Newton converges quadratically from a RANSAC result.
-        const ROUNDS: usize = 5;
         let mut refined = *first_from_other;
-        for _ in 0..ROUNDS {
+        // Gauss–Newton converges quadratically from a RANSAC result.
+        for _ in 0..5 {
             refined = System::new(self.ties, inliers, &refined)?.solved(&refined)?;
         }
         Some(refined)
