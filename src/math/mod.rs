@@ -5,6 +5,7 @@ mod decomposition;
 mod direct_linear;
 mod neighbors;
 mod parallax;
+mod points;
 pub mod polynomial;
 mod random;
 mod rigid3;
@@ -21,11 +22,13 @@ pub(crate) use direct_linear::{epipolar_row, null_matrices};
 pub use direct_linear::{fundamental_from_points, homography_from_points};
 pub(crate) use neighbors::Neighbors;
 pub use parallax::widest_angle;
+pub use points::{any_across, centroid, is_finite};
 pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;
 pub use sim3::Sim3;
 pub use statistics::{
-    RAYLEIGH_MEDIAN, STD_PER_MAD, at_least, bin, lower_quantile, median, quantile, student_4, upper_median,
+    RAYLEIGH_MEDIAN, STD_PER_MAD, at_least, bin, lower_quantile, median, quantile, quantile_range, student_4,
+    upper_median,
 };
 pub(crate) use wxyz::MAX_UNIT_ERROR;

@@ -26,6 +26,11 @@ pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
+/// Range of the values but for a share at each end, by the nearest ranks; their order changes. `None` of nothing.
+pub fn quantile_range(values: &mut [f64], tail: f64) -> Option<[f64; 2]> {
+    Some([quantile(values, tail)?, quantile(values, 1.0 - tail)?])
+}
+
 /// Quantile by the rank rounded down. `None` of nothing.
 pub fn lower_quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len().checked_sub(1)? as f64) as usize;

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::FrameId;
 use crate::camera::{Camera, Model};
-use crate::math::{Rigid3, Sim3, median};
+use crate::math::{Rigid3, Sim3, is_finite, median};
 
 macro_rules! id {
     ($(#[$doc:meta])* $name:ident($inner:ty)) => {
@@ -207,12 +207,16 @@ impl Reconstruction {
         (count > 0).then(|| sum / count as f64)
     }
 
+    /// Positions of all points, without those that are not finite.
+    pub fn finite_positions(&self) -> Vec<Point3<f64>> {
+        self.points.values().map(|point| point.position).filter(is_finite).collect()
+    }
+
     /// The places of an object's points that tell its shape: in at least `min_track` images, and along no axis further
     /// from the median than `max_deviation` times the median absolute deviation.
     pub fn solid_points(&self, min_track: usize, max_deviation: f64) -> Vec<Point3<f64>> {
         let seen = self.points.values().filter(|point| point.track.len() >= min_track);
-        let mut points: Vec<Point3<f64>> =
-            seen.map(|point| point.position).filter(|p| p.coords.iter().all(|x| x.is_finite())).collect();
+        let mut points: Vec<Point3<f64>> = seen.map(|point| point.position).filter(is_finite).collect();
         for axis in 0..3 {
             let Some(middle) = median(points.iter().map(|p| p[axis]).collect()) else { break };
             let spread = median(points.iter().map(|p| (p[axis] - middle).abs()).collect()).unwrap_or(0.0);
