@@ -1,6 +1,6 @@
 //! Rotation of the background's frame by a camera's attitude in a log.
 
-use nalgebra::{Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::Orientation;
 
@@ -10,16 +10,13 @@ const TILT_STD: f64 = 0.017;
 /// Standard deviation of its yaw, which a compass gives, radians (five degrees).
 const HEADING_STD: f64 = 0.087;
 
-/// Attitudes that disagree by more than this with the camera's motion are not those of the camera, radians.
-const MAX_SPREAD: f64 = 0.35;
-
 /// Axes east, north, up from those of a camera (x right, y down, z forward) that looks along `yaw`, clockwise from
 /// north, and `pitch`, upwards from the horizon, and is turned by `roll` to the right about its axis; radians.
 pub fn metric_from_cam(yaw: f64, pitch: f64, roll: f64) -> UnitQuaternion<f64> {
     let forward = Vector3::new(yaw.sin() * pitch.cos(), yaw.cos() * pitch.cos(), pitch.sin());
     let right = Vector3::new(yaw.cos(), -yaw.sin(), 0.0);
-    let level = Rotation3::from_matrix_unchecked(Matrix3::from_columns(&[right, forward.cross(&right), forward]));
-    UnitQuaternion::from_rotation_matrix(&level) * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll)
+    UnitQuaternion::from_basis_unchecked(&[right, forward.cross(&right), forward])
+        * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll)
 }
 
 /// The mean of what pairs of attitudes say: `metric_from_cam` by the log and `cam_from_world` by the reconstruction, at
@@ -32,7 +29,7 @@ pub fn orientation(pairs: &[(UnitQuaternion<f64>, UnitQuaternion<f64>)]) -> Opti
     let mean = mean(&rotations)?;
     let squares: f64 = rotations.iter().map(|rotation| rotation.angle_to(&mean).powi(2)).sum();
     let spread = (squares / rotations.len() as f64).sqrt();
-    let agrees = spread <= MAX_SPREAD && mean.coords.iter().all(|value| value.is_finite());
+    let agrees = spread <= 0.35 && mean.coords.iter().all(|value| value.is_finite());
     // Errors of a gimbal last as long as a flight: they do not average out.
     agrees.then(|| Orientation {
         metric_from_world: mean,

@@ -11,11 +11,6 @@ pub struct CameraPath {
     pub center_std: f64,
 }
 
-/// Fixes are not compared with the path in gaps of more than this many usual steps …
-const MAX_STEPS: f64 = 5.0;
-/// … if they are longer than this, seconds.
-const MIN_GAP_S: f64 = 1.0;
-
 /// Error of camera centers as a share of the path, at least: the drift of reconstructions.
 pub const DRIFT: f64 = 0.002;
 
@@ -46,7 +41,8 @@ impl CameraPath {
         (self.times_s[0], self.times_s[self.times_s.len() - 1])
     }
 
-    /// Returns true if the path has a position at a time: inside, and not in a gap.
+    /// Returns true if the path has a position at a time: inside, and not in a gap of more than five usual steps and a
+    /// second.
     pub fn covers(&self, time_s: f64) -> bool {
         let (start, end) = self.span_s();
         if !(start..=end).contains(&time_s) {
@@ -54,7 +50,7 @@ impl CameraPath {
         }
         let usual_s = (end - start) / (self.times_s.len() - 1) as f64;
         let i = self.segment(time_s);
-        self.times_s[i + 1] - self.times_s[i] <= (MAX_STEPS * usual_s).max(MIN_GAP_S)
+        self.times_s[i + 1] - self.times_s[i] <= (5.0 * usual_s).max(1.0)
     }
 
     /// Centre and velocity at a time, linear between neighbours and beyond the ends.

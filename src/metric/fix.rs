@@ -33,9 +33,6 @@ impl PositionFix {
 /// 3 m; receivers that smooth their fixes have less that is new, which is found from the fixes themselves.
 pub(super) const WANDER_SHARE: f64 = 0.8;
 
-/// More groups than this cost time and say nothing new: neighbours share their wander.
-pub(super) const MAX_GROUPS: usize = 120;
-
 /// Neighbouring fixes as one: their mean.
 #[derive(Clone, Debug)]
 pub(super) struct Group {
@@ -94,9 +91,9 @@ pub(super) fn distinct(fixes: &[PositionFix]) -> Vec<PositionFix> {
     .collect()
 }
 
-/// At most [`MAX_GROUPS`] groups of neighbours.
+/// Groups of neighbors. More than 120 cost time and say nothing new: neighbors share their wander.
 pub(super) fn groups(fixes: &[PositionFix]) -> Vec<Group> {
-    fixes.chunks(fixes.len().div_ceil(MAX_GROUPS).max(1)).map(Group::of).collect()
+    fixes.chunks(fixes.len().div_ceil(120).max(1)).map(Group::of).collect()
 }
 
 #[cfg(test)]

@@ -55,9 +55,6 @@ impl Fused {
     }
 }
 
-/// Sources further apart than this contradict each other.
-const MAX_DEVIATIONS: f64 = 3.0;
-
 /// Fuses all sources; `None` without any. Sources that are not finite count as none.
 pub fn fuse(sources: &[Source]) -> Option<Fused> {
     let is_usable = |source: &&Source| source.log_scale.is_finite() && source.std.is_finite() && source.std > 0.0;
@@ -113,8 +110,11 @@ fn contradictions(sources: &[&Source]) -> Vec<MetricContradiction> {
         let (log_scale, std) = mean(&others)?;
         let apart = sources[i].log_scale - log_scale;
         let deviations = apart.abs() / std.hypot(sources[i].std);
-        let contradicts = deviations > MAX_DEVIATIONS;
-        contradicts.then(|| MetricContradiction { source: sources[i].name.clone(), ratio: apart.exp(), deviations })
+        (deviations > 3.0).then(|| MetricContradiction {
+            source: sources[i].name.clone(),
+            ratio: apart.exp(),
+            deviations,
+        })
     };
     let mut found: Vec<MetricContradiction> = (0..sources.len()).filter_map(of).collect();
     found.sort_by(|a, b| b.deviations.total_cmp(&a.deviations));

@@ -59,19 +59,7 @@ impl fmt::Display for KnownLength {
     }
 }
 
-impl TryFrom<String> for KnownLength {
-    type Error = KnownLengthError;
-
-    fn try_from(text: String) -> Result<Self, KnownLengthError> {
-        text.parse()
-    }
-}
-
-impl From<KnownLength> for String {
-    fn from(known: KnownLength) -> Self {
-        known.to_string()
-    }
-}
+text_in_files!(KnownLength, KnownLengthError);
 
 #[cfg(test)]
 mod tests {

@@ -21,16 +21,10 @@ pub struct Level {
 }
 
 impl Level {
-    /// Standard deviation of a camera's tilt where no ground is visible, radians.
-    const CAMERA_TILT_STD: f64 = 0.5;
-    /// Largest angle between the viewing direction and straight down at which the upper edge of the image points
-    /// ahead, radians.
-    const STEEP: f64 = 0.3;
-
     /// The vertical and the origin of a background.
     ///
-    /// * `up` – the vertical in its frame, and the standard deviation of its tilt, radians; by default the mean of the
-    ///   cameras' own.
+    /// * `up` – the vertical in its frame, and the standard deviation of its tilt, radians; by default, where no ground
+    ///   is visible, the mean of the cameras' own.
     /// * `foot_in_world` – the origin; by default the first camera.
     pub fn of_background(
         background: &Reconstruction,
@@ -39,11 +33,12 @@ impl Level {
     ) -> Self {
         let upper = |pose: Rigid3| pose.rotation.inverse() * -Vector3::y();
         let poses = || background.images.values().map(|image| image.cam_from_world);
-        let (up, tilt_std) = up.unwrap_or_else(|| (poses().map(upper).sum(), Self::CAMERA_TILT_STD));
+        let (up, tilt_std) = up.unwrap_or_else(|| (poses().map(upper).sum(), 0.5));
         let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
         let first = poses().next().unwrap_or_else(Rigid3::identity);
         let forward = first.rotation.inverse() * Vector3::z();
-        let is_steep = forward.angle(&-up_in_world) < Self::STEEP;
+        // Of a camera that looks nearly straight down the upper edge of the image points ahead.
+        let is_steep = forward.angle(&-up_in_world) < 0.3;
         Self {
             up_in_world,
             tilt_std,

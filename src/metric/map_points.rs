@@ -73,7 +73,8 @@ impl Fit {
     fn of(points: &[MapPoint]) -> Result<Self, MapPointsError> {
         let mut pose = start(points)?;
         let mut information = SMatrix::<f64, 6, 6>::zeros();
-        for _ in 0..ROUNDS {
+        // From the homography, which is right but for noise: quadratic convergence.
+        for _ in 0..12 {
             let mut gradient = SVector::<f64, 6>::zeros();
             information.fill(0.0);
             for point in points {
@@ -105,19 +106,16 @@ impl Fit {
 /// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
 /// * `prior_std` – standard deviation of the logarithm beforehand.
 pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> Option<(f64, f64)> {
-    /// Standard deviations within which it is looked for.
-    const REACH: f64 = 2.5;
-    /// Steps to either side: of a guessed focal length (±40 %) 2.5 % each, less than points of a map tell.
-    const STEPS: i32 = 40;
     let squares = |log_focal: f64| {
         let fit = Fit::of(&points_at(log_focal)).ok().filter(|fit| fit.pose.center.z > 0.0);
         fit.map_or(f64::INFINITY, |fit| fit.squares + (log_focal / prior_std).powi(2))
     };
-    let mut step = REACH * prior_std / f64::from(STEPS);
+    // Within 2.5 standard deviations: of a guessed focal length (±40 %) steps of 2.5 %, less than points of a map tell.
+    let mut step = 2.5 * prior_std / 40.0;
     let least = |values: &mut dyn Iterator<Item = f64>| {
         values.map(|at| (squares(at), at)).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, at)| at)
     };
-    let mut best = least(&mut (-STEPS..=STEPS).map(|k| f64::from(k) * step));
+    let mut best = least(&mut (-40..=40).map(|k| f64::from(k) * step));
     for _ in 0..4 {
         let (middle, finer) = (best, step / 5.0);
         best = least(&mut (-5..=5).map(|k| middle + f64::from(k) * finer));
@@ -212,7 +210,8 @@ fn covariance_on_ground(
         let [x, y] = (here - middle).into();
         Some((by, SMatrix::<f64, 2, 4>::new(x, -y, 1.0, 0.0, y, x, 0.0, 1.0)))
     };
-    let step = points.len().div_ceil(MAX_SAMPLED);
+    // Evenly chosen: the time grows with the square of their number.
+    let step = points.len().div_ceil(40);
     let sampled = || (0..points.len()).step_by(step);
     let pairs = sampled().flat_map(|j| sampled().skip_while(move |k| *k < j).map(move |k| (j, k)));
     let rows: Vec<_> = pairs.map(displacement).collect::<Option<_>>()?;
@@ -233,10 +232,6 @@ fn covariance_on_ground(
     Some(covariance)
 }
 
-/// Points between which positions are sampled, evenly chosen of more: the time grows with the square of their number.
-const MAX_SAMPLED: usize = 40;
-/// From the homography, which is right but for noise: quadratic convergence.
-const ROUNDS: usize = 12;
 /// Step of the derivatives, radians and metres.
 const STEP: f64 = 1e-6;
 /// Step of that by the logarithm of the focal length: a fit ends within a hundred millionth.
@@ -310,6 +305,7 @@ fn start(points: &[MapPoint]) -> Result<Pose, MapPointsError> {
 #[cfg(test)]
 mod tests {
     use super::super::metric_from_cam;
+    use super::super::placing::covariance_at;
     use super::*;
     use crate::math::seeded_rng;
     use rand::Rng as _;
@@ -365,8 +361,8 @@ mod tests {
                     let Sim3 { rotation, translation, .. } = found.metric_from_world;
                     let pose = Pose { metric_from_world: rotation, center: Point3::from(translation) };
                     let place = pose.on_ground(&seen.ray_in_world).unwrap().push(0.0);
-                    let in_world = found.metric_from_world.inverse() * Point3::from(place);
-                    let covariance = found.place_covariance(in_world);
+                    let anchor = found.metric_from_world * found.anchor_in_world;
+                    let covariance = covariance_at(&(place - anchor.coords), &found.covariance);
                     for k in 0..2 {
                         let off = (place - truth)[k].abs() / covariance[(k, k)].sqrt();
                         inside[0] += i32::from(off <= 1.0);

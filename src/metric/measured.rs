@@ -22,14 +22,12 @@ pub struct MeasuredError {
     text: String,
 }
 
-/// A value cannot be known better than this share of it: tapes and eyes.
-const LEAST_SHARE: f64 = 1e-4;
-
 impl Measured {
     /// A value and its deviation; `None` if either is not positive and finite.
     pub fn new(value: f64, std: f64) -> Option<Self> {
         let is_positive = |x: f64| x.is_finite() && x > 0.0;
-        (is_positive(value) && is_positive(std)).then_some(Self { value, std: std.max(LEAST_SHARE * value) })
+        // Tapes and eyes are not better.
+        (is_positive(value) && is_positive(std)).then_some(Self { value, std: std.max(1e-4 * value) })
     }
 
     /// Mean and standard deviation of the logarithm, to first order.
@@ -55,19 +53,7 @@ impl FromStr for Measured {
     }
 }
 
-impl TryFrom<String> for Measured {
-    type Error = MeasuredError;
-
-    fn try_from(text: String) -> Result<Self, MeasuredError> {
-        text.parse()
-    }
-}
-
-impl From<Measured> for String {
-    fn from(measured: Measured) -> Self {
-        measured.to_string()
-    }
-}
+text_in_files!(Measured, MeasuredError);
 
 /// Parts of a text before and after the sign of a standard deviation.
 fn parts(text: &str) -> (&str, Option<&str>) {
@@ -102,20 +88,15 @@ pub struct TimeOffsetError {
     text: String,
 }
 
-/// Latency of receivers, seconds: the standard deviation of an offset that is given without one.
-const RECEIVER_LATENCY_S: f64 = 0.2;
-
-/// Clocks are not compared better than to a frame of a fast video, seconds.
-const LEAST_OFFSET_STD_S: f64 = 1e-3;
-
 impl FromStr for TimeOffset {
     type Err = TimeOffsetError;
 
     fn from_str(text: &str) -> Result<Self, TimeOffsetError> {
         let (mean, std) = parts(text);
-        let std_s = std.map_or(Some(RECEIVER_LATENCY_S), number).filter(|std| *std > 0.0);
-        let offset =
-            number(mean).zip(std_s).map(|(mean_s, std_s)| Self { mean_s, std_s: std_s.max(LEAST_OFFSET_STD_S) });
+        // Without one it is the latency of receivers.
+        let std_s = std.map_or(Some(0.2), number).filter(|std| *std > 0.0);
+        // Clocks are not compared better than to a frame of a fast video.
+        let offset = number(mean).zip(std_s).map(|(mean_s, std_s)| Self { mean_s, std_s: std_s.max(1e-3) });
         offset.ok_or_else(|| TimeOffsetError { text: text.to_owned() })
     }
 }
@@ -126,19 +107,7 @@ impl fmt::Display for TimeOffset {
     }
 }
 
-impl TryFrom<String> for TimeOffset {
-    type Error = TimeOffsetError;
-
-    fn try_from(text: String) -> Result<Self, TimeOffsetError> {
-        text.parse()
-    }
-}
-
-impl From<TimeOffset> for String {
-    fn from(offset: TimeOffset) -> Self {
-        offset.to_string()
-    }
-}
+text_in_files!(TimeOffset, TimeOffsetError);
 
 /// Half of what the last digit represents: 0.005 of “4.47”.
 fn half_digit(text: &str) -> f64 {

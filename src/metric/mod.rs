@@ -9,6 +9,26 @@
 //! `metric` is a frame of axes east, north and up in metres where a receiver gave it, else one whose z axis points up.
 //! `docs/maths/metric.md` derives the equations. This room is arithmetic on values.
 
+/// Lets serde read and write a type by its `FromStr` and `Display`: with
+/// `#[serde(try_from = "String", into = "String")]`, it is a text in files.
+macro_rules! text_in_files {
+    ($name:ident, $error:ident) => {
+        impl TryFrom<String> for $name {
+            type Error = $error;
+
+            fn try_from(text: String) -> Result<Self, $error> {
+                text.parse()
+            }
+        }
+
+        impl From<$name> for String {
+            fn from(value: $name) -> Self {
+                value.to_string()
+            }
+        }
+    };
+}
+
 pub mod align;
 mod attitude;
 mod camera_path;

@@ -33,12 +33,7 @@ impl ObservedPoint {
     /// Covariance of the point relative to the camera along the metric axes.
     pub fn covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
         let log_std = frame.log_scale_std().hypot(self.log_ratio_std);
-        ray_covariance(&self.ray_m(frame), log_std, self.direction_std) + self.pose_covariance_m(frame)
-    }
-
-    /// Covariance of the pose along the metric axes.
-    fn pose_covariance_m(&self, frame: &MetricFrame) -> Matrix3<f64> {
-        in_metres(frame, &self.pose_covariance)
+        ray_covariance(&self.ray_m(frame), log_std, self.direction_std) + in_metres(frame, &self.pose_covariance)
     }
 }
 
@@ -68,7 +63,7 @@ pub fn metric_pose(frame: &MetricFrame, sighted: &ObservedPoint) -> MetricPose {
 /// which has the scale in it, and what the ratio and the direction add.
 pub fn place_std_m(frame: &MetricFrame, sighted: &ObservedPoint) -> [f64; 3] {
     let of_ray = ray_covariance(&sighted.ray_m(frame), sighted.log_ratio_std, sighted.direction_std);
-    axes_std(&(alignment_covariance(frame, sighted.point) + of_ray + sighted.pose_covariance_m(frame)))
+    axes_std(&(alignment_covariance(frame, sighted.point) + of_ray + in_metres(frame, &sighted.pose_covariance)))
 }
 
 /// Along the ray in proportion to it, across it by the direction.
@@ -82,11 +77,15 @@ fn ray_covariance(ray_m: &Vector3<f64>, log_std: f64, direction_std: f64) -> Mat
 fn alignment_covariance(frame: &MetricFrame, point: Point3<f64>) -> Matrix3<f64> {
     let metric_from_world = frame.metric_from_world();
     let arm = metric_from_world.rotation * (point - Point3::from(frame.anchor)) * metric_from_world.scale;
+    covariance_at(&arm, &Covariance::from_fn(|j, k| frame.covariance[j][k]))
+}
+
+/// Covariance of the place of a point, metres², at a displacement from the anchor of an alignment.
+pub(super) fn covariance_at(arm: &Vector3<f64>, covariance: &Covariance) -> Matrix3<f64> {
     let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
-    jacobian.set_column(0, &arm);
+    jacobian.set_column(0, arm);
     jacobian.fixed_view_mut::<3, 3>(0, 1).copy_from(&-arm.cross_matrix());
     jacobian.fixed_view_mut::<3, 3>(0, 4).copy_from(&Matrix3::identity());
-    let covariance = Covariance::from_fn(|j, k| frame.covariance[j][k]);
     jacobian * covariance * jacobian.transpose()
 }
 

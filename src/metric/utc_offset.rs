@@ -20,9 +20,6 @@ pub struct UtcOffsetError {
     text: String,
 }
 
-/// Clocks of the world are at most 14 hours ahead of universal time, and 12 behind it.
-const MOST_MINUTES: std::ops::RangeInclusive<i32> = -12 * 60..=14 * 60;
-
 impl UtcOffset {
     /// Seconds by which the local clock is ahead.
     pub fn seconds(self) -> f64 {
@@ -34,7 +31,8 @@ impl FromStr for UtcOffset {
     type Err = UtcOffsetError;
 
     fn from_str(text: &str) -> Result<Self, UtcOffsetError> {
-        let minutes = minutes(text.trim()).filter(|minutes| MOST_MINUTES.contains(minutes));
+        // Clocks of the world are at most 14 hours ahead of universal time, and 12 behind it.
+        let minutes = minutes(text.trim()).filter(|minutes| (-12 * 60..=14 * 60).contains(minutes));
         minutes.map(|minutes| Self { minutes }).ok_or_else(|| UtcOffsetError { text: text.to_owned() })
     }
 }
@@ -64,19 +62,7 @@ impl fmt::Display for UtcOffset {
     }
 }
 
-impl TryFrom<String> for UtcOffset {
-    type Error = UtcOffsetError;
-
-    fn try_from(text: String) -> Result<Self, UtcOffsetError> {
-        text.parse()
-    }
-}
-
-impl From<UtcOffset> for String {
-    fn from(offset: UtcOffset) -> Self {
-        offset.to_string()
-    }
-}
+text_in_files!(UtcOffset, UtcOffsetError);
 
 #[cfg(test)]
 mod tests {

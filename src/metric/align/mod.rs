@@ -23,7 +23,7 @@ mod start;
 #[cfg(test)]
 mod tests;
 
-use nalgebra::{Matrix3, Point3, SMatrix, UnitQuaternion, Vector3};
+use nalgebra::{Point3, SMatrix, UnitQuaternion, Vector3};
 
 use super::fix::distinct;
 use super::{CameraPath, Kind, PositionFix, Source};
@@ -130,17 +130,6 @@ impl Alignment {
     pub fn heading_std(&self) -> f64 {
         self.covariance[(3, 3)].sqrt()
     }
-
-    /// Covariance of the place of a point of the background, metres², as far as it comes from the alignment.
-    pub fn place_covariance(&self, point_in_world: Point3<f64>) -> Matrix3<f64> {
-        let Sim3 { scale, rotation, .. } = self.metric_from_world;
-        let arm = rotation * (point_in_world - self.anchor_in_world) * scale;
-        let mut jacobian = SMatrix::<f64, 3, 7>::zeros();
-        jacobian.set_column(0, &arm);
-        jacobian.fixed_view_mut::<3, 3>(0, 1).copy_from(&-arm.cross_matrix());
-        jacobian.fixed_view_mut::<3, 3>(0, 4).copy_from(&Matrix3::identity());
-        jacobian * self.covariance * jacobian.transpose()
-    }
 }
 
 /// Why fixes give no metres.
@@ -149,26 +138,24 @@ pub enum Refusal {
     /// Too few fixes in the time of the video.
     #[error(
         "{num} of the log's {of} distinct positions are within the time of the video, at least {least} needed: log of \
-         another flight, or a clock in another time zone"
+         another flight, or a clock in another time zone",
+        least = MIN_FIXES
     )]
     NoOverlap {
         /// Number of fixes in it.
         num: usize,
         /// Number of fixes.
         of: usize,
-        /// Number required.
-        least: usize,
     },
     /// Too few fixes to find out how the clocks go together.
     #[error(
         "clock offset unknown: estimating it needs {least} positions within the time of the video, found {num}; give \
-         --time-offset"
+         --time-offset",
+        least = MIN_FIXES_FOR_OFFSET
     )]
     TooFewForOffset {
         /// Number of fixes in it.
         num: usize,
-        /// Number required.
-        least: usize,
     },
     /// The camera hardly moved, by the receiver's measure.
     #[error(
@@ -211,21 +198,6 @@ const MIN_FIXES: usize = 4;
 /// gave scales up to half as large again.
 const MIN_FIXES_FOR_OFFSET: usize = 8;
 
-/// A scale that is known to a quarter, at best, is not known: the arithmetic with logarithms ends here.
-const MAX_LOG_SCALE_STD: f64 = 0.25;
-
-/// If more fixes than this share do not fit, it is not they that are wrong.
-const MAX_REJECTED_SHARE: f64 = 0.34;
-
-/// Nor are fixes wrong that are, all of them, three times as far off as stated.
-const MAX_NOISE_FACTOR: f64 = 3.0;
-
-/// A fit explains as much as another if it has at least this part of its fixes.
-const AS_MANY: f64 = 0.9;
-
-/// Offsets that are closer together than this are one, seconds.
-const SAME_OFFSET_S: f64 = 1.0;
-
 /// Lays a camera's path onto fixes.
 ///
 /// # Errors
@@ -238,40 +210,44 @@ pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Suppor
     found.sort_by(|a, b| a.badness().total_cmp(&b.badness()));
     let Some(least) = found.first().map(refine::Refined::badness) else {
         let num = search::most_overlapping(path, &fixes, support.offset);
-        return Err(Refusal::NoOverlap { num, of: fixes.len(), least: MIN_FIXES });
+        return Err(Refusal::NoOverlap { num, of: fixes.len() });
     };
     found.retain(|fit| fit.badness() <= least + fit.badness_by_chance());
     // Of fits that are equally good, the one that explains most. The sort is stable: of equal ones the best.
-    found.sort_by_key(|fit| std::cmp::Reverse(fit.num_fixes));
-    let [best, others @ ..] = &found[..] else { return Err(Refusal::NoOverlap { num: 0, of: 0, least: MIN_FIXES }) };
-    judge(best, &fixes)?;
+    found.sort_by_key(|fit| std::cmp::Reverse(fit.alignment.num_fixes));
+    let [fit, others @ ..] = &found[..] else { return Err(Refusal::NoOverlap { num: 0, of: 0 }) };
+    judge(fit, &fixes)?;
+    let best = &fit.alignment;
     if support.offset == Offset::Unknown && best.num_fixes < MIN_FIXES_FOR_OFFSET {
-        return Err(Refusal::TooFewForOffset { num: best.num_fixes, least: MIN_FIXES_FOR_OFFSET });
+        return Err(Refusal::TooFewForOffset { num: best.num_fixes });
     }
-    if let Some(other) = others.iter().find(|other| contradicts(best, other)) {
+    if let Some(other) = others.iter().map(|other| &other.alignment).find(|other| contradicts(best, other)) {
         return Err(Refusal::Ambiguous { offset_s: best.offset_s, other_s: other.offset_s });
     }
-    Ok(best.alignment())
+    Ok(best.clone())
 }
 
 /// Accepts or refuses a fit.
-fn judge(best: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
-    if best.rejected_share > MAX_REJECTED_SHARE || best.noise_factor > MAX_NOISE_FACTOR {
+fn judge(fit: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
+    let best = &fit.alignment;
+    // If a third of the fixes do not fit, it is not they that are wrong; nor if all of them are so far off.
+    if best.rejected_share > 0.34 || best.noise_factor > 3.0 {
         let rejected_percent = 100.0 * best.rejected_share;
         return Err(Refusal::AnotherMotion { rejected_percent, noise_factor: best.noise_factor });
     }
     let log_scale_std = best.log_scale_std();
-    if !(log_scale_std <= MAX_LOG_SCALE_STD) {
+    // A scale that is known to a quarter, at best, is not known: the arithmetic with logarithms ends here.
+    if !(log_scale_std <= 0.25) {
         let percent = (100.0 * log_scale_std).min(999.0);
         let std_m = fixes.iter().map(|fix| fix.horizontal_std_m).fold(f64::INFINITY, f64::min);
-        return Err(Refusal::Motionless { percent, extent_m: best.extent_m, std_m });
+        return Err(Refusal::Motionless { percent, extent_m: fit.extent_m, std_m });
     }
     Ok(())
 }
 
 /// Another fit that explains as much as this one, at another time.
-fn contradicts(best: &refine::Refined, other: &refine::Refined) -> bool {
+fn contradicts(best: &Alignment, other: &Alignment) -> bool {
     let apart_s = (other.offset_s - best.offset_s).abs();
-    let std_s = best.offset_std_s().hypot(other.offset_std_s());
-    other.num_fixes as f64 >= AS_MANY * best.num_fixes as f64 && apart_s > 3.0 * std_s + SAME_OFFSET_S
+    let std_s = best.offset_std_s.hypot(other.offset_std_s);
+    other.num_fixes as f64 >= 0.9 * best.num_fixes as f64 && apart_s > 3.0 * std_s + 1.0
 }

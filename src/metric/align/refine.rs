@@ -35,55 +35,25 @@ impl State {
 
 /// A fit.
 pub(super) struct Refined {
-    state: State,
-    anchor_in_world: Point3<f64>,
-    covariance: Normal,
-    pub(super) offset_s: f64,
+    pub(super) alignment: Alignment,
     /// Sum of the squared whitened residuals.
-    pub(super) chi2: f64,
-    pub(super) num_groups: usize,
-    pub(super) num_fixes: usize,
-    pub(super) rejected_share: f64,
-    pub(super) noise_factor: f64,
+    chi2: f64,
+    num_groups: usize,
     /// Diagonal of the box round the positions used, metres.
     pub(super) extent_m: f64,
 }
 
 impl Refined {
-    pub(super) fn log_scale_std(&self) -> f64 {
-        self.covariance[(0, 0)].sqrt()
-    }
-
-    pub(super) fn offset_std_s(&self) -> f64 {
-        self.covariance[(7, 7)].sqrt()
-    }
-
     /// Cost by which fits are compared: the residuals per group, those of outliers set to the limit.
     pub(super) fn badness(&self) -> f64 {
-        let rejected = self.rejected_share * REJECTED * REJECTED;
-        (self.chi2 / self.num_groups as f64 + rejected) * self.noise_factor.max(1.0).powi(2)
+        let rejected = self.alignment.rejected_share * REJECTED * REJECTED;
+        (self.chi2 / self.num_groups as f64 + rejected) * self.alignment.noise_factor.max(1.0).powi(2)
     }
 
     /// Difference by chance between fits of this many groups: three standard deviations of χ² over its degrees of
     /// freedom.
     pub(super) fn badness_by_chance(&self) -> f64 {
         3.0 * (2.0 / (3.0 * self.num_groups as f64)).sqrt()
-    }
-
-    pub(super) fn alignment(&self) -> Alignment {
-        let State { log_scale, rotation, place, .. } = self.state;
-        let scale = log_scale.exp();
-        let translation = place.coords - rotation * self.anchor_in_world.coords * scale;
-        Alignment {
-            metric_from_world: Sim3::new(scale, rotation, translation),
-            anchor_in_world: self.anchor_in_world,
-            covariance: self.covariance.fixed_view::<7, 7>(0, 0).into_owned(),
-            offset_s: self.offset_s,
-            offset_std_s: self.offset_std_s(),
-            num_fixes: self.num_fixes,
-            rejected_share: self.rejected_share,
-            noise_factor: self.noise_factor,
-        }
     }
 }
 
@@ -93,19 +63,10 @@ const SUSPECT: f64 = 3.4;
 const REJECTED: f64 = 6.0;
 /// Weight of a fix that jumps.
 const NO_WEIGHT: f64 = 1e-6;
-/// Rounds in which weights and noise are found again.
-const NUM_ROUNDS: usize = 12;
 /// Scale and noise that change by less than this part of them stand still.
 const SETTLED: f64 = 1e-3;
-/// Steps in a round.
-const NUM_STEPS: usize = 6;
 /// The stated noise counts as much as this many fixes.
 const NOISE_PRIOR: f64 = 6.0;
-/// Limits of the variance of the noise over what was stated.
-const NOISE_RANGE: (f64, f64) = (1e-3, 1e3);
-
-/// Deviations that stand for knowing nothing: a turn of any size, a scale of any order, a place anywhere.
-const FREE: [f64; NUM_PARAMETERS] = [5.0, 1.8, 1.8, 1.8, 1e5, 1e5, 1e5, 60.0];
 
 struct Fit<'a> {
     path: &'a CameraPath,
@@ -128,6 +89,22 @@ struct PriorResiduals {
     offset_s: f64,
 }
 
+/// Groups that take part on each axis, and the covariance of their errors in the plane and upwards.
+struct AxisErrors {
+    members: [Vec<usize>; 3],
+    horizontal: Errors,
+    vertical: Option<Errors>,
+}
+
+impl AxisErrors {
+    /// Axes with errors: index, members, errors.
+    fn axes(&self) -> impl Iterator<Item = (usize, &[usize], &Errors)> {
+        let errors = [Some(&self.horizontal), Some(&self.horizontal), self.vertical.as_ref()];
+        let members = self.members.iter().zip(errors).enumerate();
+        members.filter_map(|(axis, (members, errors))| Some((axis, members.as_slice(), errors?)))
+    }
+}
+
 /// One axis.
 struct Axis {
     jacobian: DMatrix<f64>,
@@ -143,7 +120,7 @@ pub(super) fn refine(path: &CameraPath, fixes: &[PositionFix], support: &Support
     let groups = groups(&used);
     let mut fit = Fit::new(path, support, groups, start);
     fit.weigh_by_start();
-    for _ in 0..NUM_ROUNDS {
+    for _ in 0..12 {
         let before = (fit.state.log_scale, fit.noise[0]);
         fit.settle()?;
         fit.reweigh()?;
@@ -233,19 +210,22 @@ impl<'a> Fit<'a> {
         Axis { jacobian, residual }
     }
 
-    /// Gauss–Newton with the weights as they are; steps that make it worse are halved.
-    fn settle(&mut self) -> Option<()> {
+    fn axis_errors(&self) -> Option<AxisErrors> {
         let members = [0, 1, 2].map(|axis| self.members(axis));
         let horizontal = self.errors(0, &members[0])?;
         let vertical = if members[2].is_empty() { None } else { Some(self.errors(2, &members[2])?) };
-        let errors = [Some(&horizontal), Some(&horizontal), vertical.as_ref()];
-        for _ in 0..NUM_STEPS {
-            let (normal, gradient) = self.normal(&self.state, &members, errors);
-            let damped = normal + Normal::from_diagonal(&SVector::from(FREE.map(|std| 1.0 / (std * std))));
+        Some(AxisErrors { members, horizontal, vertical })
+    }
+
+    /// Gauss–Newton with the weights as they are; steps that make it worse are halved.
+    fn settle(&mut self) -> Option<()> {
+        let errors = self.axis_errors()?;
+        for _ in 0..6 {
+            let (damped, gradient) = self.normal(&errors);
             let mut step = limited(damped.cholesky()?.solve(&gradient));
-            let before = self.cost(&self.state, &members, errors);
+            let before = self.cost(&self.state, &errors);
             let mut tries = 0;
-            while !(self.cost(&self.state.moved(&step), &members, errors) <= before) && tries < 12 {
+            while !(self.cost(&self.state.moved(&step), &errors) <= before) && tries < 12 {
                 step *= 0.5;
                 tries += 1;
             }
@@ -260,28 +240,28 @@ impl<'a> Fit<'a> {
         Some(())
     }
 
-    fn normal(&self, state: &State, members: &[Vec<usize>; 3], errors: [Option<&Errors>; 3]) -> (Normal, Step) {
-        let (mut normal, mut gradient) = self.priors(state);
-        for axis in 0..3 {
-            let Some(errors) = errors[axis] else { continue };
-            let Axis { jacobian, residual } = self.axis(state, axis, &members[axis]);
+    /// Normal equations, with standard deviations of what is not known: a scale of any order, a turn of any size, a
+    /// place anywhere.
+    fn normal(&self, errors: &AxisErrors) -> (Normal, Step) {
+        let (mut normal, mut gradient) = self.priors(&self.state);
+        for (axis, members, errors) in errors.axes() {
+            let Axis { jacobian, residual } = self.axis(&self.state, axis, members);
             let weighted = errors.solve(&jacobian);
             normal += Normal::from_iterator((weighted.transpose() * &jacobian).iter().copied());
             gradient += Step::from_iterator((weighted.transpose() * residual).iter().copied());
         }
-        (normal, gradient)
+        let free = [5.0, 1.8, 1.8, 1.8, 1e5, 1e5, 1e5, 60.0].map(|std: f64| 1.0 / (std * std));
+        (normal + Normal::from_diagonal(&SVector::from(free)), gradient)
     }
 
     /// Twice the negative logarithm of the likelihood, up to a constant.
-    fn cost(&self, state: &State, members: &[Vec<usize>; 3], errors: [Option<&Errors>; 3]) -> f64 {
+    fn cost(&self, state: &State, errors: &AxisErrors) -> f64 {
         let residuals = self.residuals(state);
-        let of_axis = |axis: usize| {
-            let Some(errors) = errors[axis] else { return 0.0 };
-            let column = members[axis].iter().map(|&j| residuals[j][axis]);
-            let residual = DMatrix::from_iterator(members[axis].len(), 1, column);
+        let of_axis = |(axis, members, errors): (usize, &[usize], &Errors)| {
+            let residual = DMatrix::from_iterator(members.len(), 1, members.iter().map(|&j| residuals[j][axis]));
             residual.dot(&errors.solve(&residual))
         };
-        (0..3).map(of_axis).sum::<f64>() + self.prior_cost(state)
+        errors.axes().map(of_axis).sum::<f64>() + self.prior_cost(state)
     }
 
     /// Residual and weight of what is known of rotation and offset.
@@ -373,7 +353,7 @@ impl<'a> Fit<'a> {
             let [found, expected] = sums[kind];
             let expected = expected.max(0.0);
             let noise = self.noise[kind] * (found + NOISE_PRIOR / self.noise[kind]) / (expected + NOISE_PRIOR);
-            self.noise[kind] = noise.clamp(NOISE_RANGE.0, NOISE_RANGE.1);
+            self.noise[kind] = noise.clamp(1e-3, 1e3);
         }
         // A jump is one of the whole fix.
         for j in 0..self.groups.len() {
@@ -385,28 +365,27 @@ impl<'a> Fit<'a> {
     }
 
     fn finish(self, num_fixes: usize) -> Option<Refined> {
-        let members = [0, 1, 2].map(|axis| self.members(axis));
-        let horizontal = self.errors(0, &members[0])?;
-        let vertical = if members[2].is_empty() { None } else { Some(self.errors(2, &members[2])?) };
-        let errors = [Some(&horizontal), Some(&horizontal), vertical.as_ref()];
-        let (normal, _) = self.normal(&self.state, &members, errors);
-        let free = Normal::from_diagonal(&SVector::from(FREE.map(|std| 1.0 / (std * std))));
-        let covariance = (normal + free).cholesky()?.inverse();
+        let errors = self.axis_errors()?;
+        let (normal, _) = self.normal(&errors);
+        let covariance = normal.cholesky()?.inverse();
         let rejected = self.weights[0].iter().filter(|weight| **weight <= NO_WEIGHT).count();
-        let chi2 = self.cost(&self.state, &members, errors);
-        let is_finite = covariance.iter().all(|value| value.is_finite()) && self.state.log_scale.is_finite();
-        is_finite.then_some(Refined {
-            state: self.state,
+        let chi2 = self.cost(&self.state, &errors);
+        let State { log_scale, rotation, place, offset_s } = self.state;
+        let scale = log_scale.exp();
+        let translation = place.coords - rotation * self.anchor_in_world.coords * scale;
+        let alignment = Alignment {
+            metric_from_world: Sim3::new(scale, rotation, translation),
             anchor_in_world: self.anchor_in_world,
-            covariance,
-            offset_s: self.state.offset_s,
-            chi2,
-            num_groups: self.groups.len(),
+            covariance: covariance.fixed_view::<7, 7>(0, 0).into_owned(),
+            offset_s,
+            offset_std_s: covariance[(7, 7)].sqrt(),
             num_fixes,
             rejected_share: rejected as f64 / self.groups.len() as f64,
             noise_factor: self.noise[0].sqrt(),
-            extent_m: extent_m(&self.groups),
-        })
+        };
+        let is_finite = covariance.iter().all(|value| value.is_finite()) && log_scale.is_finite();
+        let (num_groups, extent_m) = (self.groups.len(), extent_m(&self.groups));
+        is_finite.then_some(Refined { alignment, chi2, num_groups, extent_m })
     }
 }
 

@@ -3,8 +3,6 @@
 //! For every offset of a grid the path is laid onto the fixes in closed form; the curve of the mean distance has minima
 //! where the motions agree. That uses what a correlation of speeds uses, and the shape of the way besides.
 
-use nalgebra::Vector3;
-
 use super::start::{NUM_ROUNDS, Pairs, align, up};
 use super::{CameraPath, MIN_FIXES, Offset, PositionFix, Support};
 use crate::math::Sim3;
@@ -15,19 +13,6 @@ pub(super) struct Start {
     pub(super) metric_from_world: Sim3,
 }
 
-/// So many minima are looked at more closely.
-const NUM_MINIMA: usize = 5;
-/// Step of the grid, seconds.
-const STEP_S: f64 = 0.2;
-/// A longer grid has wider steps.
-const MAX_STEPS: usize = 4000;
-/// An offset counts only if log and video share at least this part of the most that they can.
-const MIN_OVERLAP: f64 = 0.7;
-/// Fixes that a single alignment of the grid looks at.
-const MAX_PAIRS: usize = 120;
-/// Offsets of known clocks are looked for within so many deviations.
-const REACH: f64 = 4.0;
-
 /// Alignments to begin with, from the most likely offsets.
 pub(super) fn starts(path: &CameraPath, fixes: &[PositionFix], support: &Support) -> Vec<Start> {
     let up = up(support);
@@ -36,23 +21,24 @@ pub(super) fn starts(path: &CameraPath, fixes: &[PositionFix], support: &Support
     let curve: Vec<(f64, Option<f64>)> = grid
         .into_iter()
         .map(|offset_s| {
-            let enough = overlap_s(path, fixes, offset_s) >= MIN_OVERLAP * most;
-            (offset_s, enough.then(|| misfit(path, fixes, offset_s, up)).flatten())
+            // Log and video share most of what they can.
+            let enough = overlap_s(path, fixes, offset_s) >= 0.7 * most;
+            // Mean distance after a quick alignment, meters.
+            let misfit = || align(&pairs(path, fixes, offset_s)?, up, 3).map(|(_, mean)| mean);
+            (offset_s, enough.then(misfit).flatten())
         })
         .collect();
-    let minima = minima(&curve);
-    minima.into_iter().filter_map(|offset_s| start_at(path, fixes, offset_s, up)).collect()
+    let start = |offset_s: f64| {
+        let (metric_from_world, _) = align(&pairs(path, fixes, offset_s)?, up, NUM_ROUNDS)?;
+        Some(Start { offset_s, metric_from_world })
+    };
+    minima(&curve).into_iter().filter_map(start).collect()
 }
 
 /// The most fixes that lie in the time of the video at any possible offset.
 pub(super) fn most_overlapping(path: &CameraPath, fixes: &[PositionFix], offset: Offset) -> usize {
     let count = |offset_s: f64| fixes.iter().filter(|fix| path.covers(fix.time_s - offset_s)).count();
     grid(path, fixes, offset).into_iter().map(count).max().unwrap_or(0)
-}
-
-fn start_at(path: &CameraPath, fixes: &[PositionFix], offset_s: f64, up: Option<Vector3<f64>>) -> Option<Start> {
-    let (metric_from_world, _) = align(&pairs(path, fixes, offset_s)?, up, NUM_ROUNDS)?;
-    Some(Start { offset_s, metric_from_world })
 }
 
 /// Offsets that are possible at all.
@@ -62,12 +48,13 @@ fn grid(path: &CameraPath, fixes: &[PositionFix], offset: Offset) -> Vec<f64> {
     let (least, most) = (first.time_s - end, last.time_s - start);
     let (least, most) = match offset {
         Offset::Unknown => (least, most),
-        Offset::Known { mean_s, std_s } => ((mean_s - REACH * std_s).max(least), (mean_s + REACH * std_s).min(most)),
+        Offset::Known { mean_s, std_s } => ((mean_s - 4.0 * std_s).max(least), (mean_s + 4.0 * std_s).min(most)),
     };
     if !(least <= most) {
         return Vec::new();
     }
-    let step_s = STEP_S.max((most - least) / MAX_STEPS as f64);
+    // A long grid has wider steps.
+    let step_s = f64::max(0.2, (most - least) / 4000.0);
     let num = ((most - least) / step_s).floor() as usize;
     // The likeliest offset itself is on the grid.
     let origin = match offset {
@@ -90,7 +77,7 @@ fn pairs(path: &CameraPath, fixes: &[PositionFix], offset_s: f64) -> Option<Pair
     let begin = fixes.partition_point(|fix| fix.time_s - offset_s < path.span_s().0);
     let end = fixes.partition_point(|fix| fix.time_s - offset_s <= path.span_s().1);
     let inside = fixes.get(begin..end)?;
-    let every = inside.len().div_ceil(MAX_PAIRS).max(1);
+    let every = inside.len().div_ceil(120).max(1);
     let used = inside.iter().step_by(every).filter(|fix| path.covers(fix.time_s - offset_s));
     let (mut centers, mut positions, mut std_m) = (Vec::new(), Vec::new(), f64::INFINITY);
     for fix in used {
@@ -101,12 +88,7 @@ fn pairs(path: &CameraPath, fixes: &[PositionFix], offset_s: f64) -> Option<Pair
     (centers.len() >= MIN_FIXES).then_some(Pairs { centers, positions, std_m })
 }
 
-/// Mean distance after a quick alignment, metres.
-fn misfit(path: &CameraPath, fixes: &[PositionFix], offset_s: f64, up: Option<Vector3<f64>>) -> Option<f64> {
-    align(&pairs(path, fixes, offset_s)?, up, 3).map(|(_, mean)| mean)
-}
-
-/// The offsets of the lowest minima of a curve, lowest first.
+/// The offsets of the five lowest minima of a curve, lowest first.
 fn minima(curve: &[(f64, Option<f64>)]) -> Vec<f64> {
     let value = |i: usize| curve.get(i).and_then(|(_, value)| *value).unwrap_or(f64::INFINITY);
     let is_minimum = |&i: &usize| {
@@ -115,5 +97,5 @@ fn minima(curve: &[(f64, Option<f64>)]) -> Vec<f64> {
     };
     let mut found: Vec<usize> = (0..curve.len()).filter(is_minimum).collect();
     found.sort_by(|&a, &b| value(a).total_cmp(&value(b)));
-    found.into_iter().take(NUM_MINIMA).map(|i| curve[i].0).collect()
+    found.into_iter().take(5).map(|i| curve[i].0).collect()
 }

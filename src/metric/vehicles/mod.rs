@@ -138,22 +138,17 @@ impl VehicleClass {
     }
 }
 
-/// Proportions that are further from those of every segment are no vehicle's of the class.
-const MAX_MISFIT: f64 = 4.0;
-
-/// Vehicles that are further from the others contradict them.
-const MAX_DEVIATIONS: f64 = 3.0;
-
 /// Metres per unit from all extents together. Extents that are not positive and finite count as none.
 pub fn vehicle_sizes(extents: &[Extent]) -> VehicleSizes {
     let by_vehicle = by_vehicle(extents);
     let answers = by_vehicle.values().filter_map(|extents| answer(extents));
-    let (mut answers, misshapen): (Vec<SizeEstimate>, Vec<SizeEstimate>) =
-        answers.partition(|a| a.misfit <= MAX_MISFIT);
-    let misshapen = misshapen.iter().map(|a| OddVehicle::new(a.vehicle, Oddity::Shape, a.misfit));
-    let mut odd: Vec<OddVehicle> = misshapen.collect();
+    let mut answers: Vec<SizeEstimate> = answers.collect();
+    let mut odd: Vec<OddVehicle> = answers.iter().filter_map(misshapen).collect();
+    answers.retain(|answer| misshapen(answer).is_none());
     odd.extend(take_outliers(&mut answers));
-    VehicleSizes { log_scale: together(&answers), odd }
+    // What all vehicles of a place have in common is added.
+    let log_scale = mean(&answers).map(|(log_scale, std)| (log_scale, std.hypot(SHARED_BY_PLACE)));
+    VehicleSizes { log_scale, odd }
 }
 
 /// The usable extents of each vehicle.
@@ -163,12 +158,6 @@ fn by_vehicle(extents: &[Extent]) -> BTreeMap<u32, Vec<Extent>> {
         by_vehicle.entry(extent.vehicle).or_default().push(*extent);
     }
     by_vehicle
-}
-
-impl OddVehicle {
-    fn new(vehicle: u32, oddity: Oddity, deviations: f64) -> Self {
-        Self { vehicle, oddity, deviations }
-    }
 }
 
 /// Takes out the vehicle that contradicts the others most, as long as three are left. Of two that contradict each other
@@ -200,45 +189,39 @@ fn untested<'a>(answers: &[SizeEstimate], found: &'a [(usize, OddVehicle)]) -> O
 /// The `k`-th against the mean of the others; `None` where they agree.
 fn against_others(answers: &[SizeEstimate], k: usize) -> Option<OddVehicle> {
     let others: Vec<SizeEstimate> = (0..answers.len()).filter(|&j| j != k).map(|j| answers[j]).collect();
-    let (log_scale, std) = mean(&others)?;
-    let apart = answers[k].log_scale - log_scale;
-    let deviations = apart.abs() / std.hypot(answers[k].total_std());
-    let ratio = apart.exp().clamp(f64::MIN_POSITIVE, f64::MAX);
-    let odd = OddVehicle::new(answers[k].vehicle, Oddity::Scale(ratio), deviations);
-    (deviations > MAX_DEVIATIONS).then_some(odd)
+    contradiction(&answers[k], mean(&others)?)
+}
+
+/// One against a logarithm of meters per unit and its standard deviation; `None` where they agree.
+fn contradiction(answer: &SizeEstimate, (log_scale, std): (f64, f64)) -> Option<OddVehicle> {
+    let apart = answer.log_scale - log_scale;
+    let deviations = apart.abs() / std.hypot(answer.total_std());
+    let oddity = Oddity::Scale(apart.exp().clamp(f64::MIN_POSITIVE, f64::MAX));
+    (deviations > 3.0).then_some(OddVehicle { vehicle: answer.vehicle, oddity, deviations })
+}
+
+/// One whose proportions no vehicle of its class has.
+fn misshapen(answer: &SizeEstimate) -> Option<OddVehicle> {
+    let SizeEstimate { vehicle, misfit, .. } = *answer;
+    (misfit > 4.0).then_some(OddVehicle { vehicle, oddity: Oddity::Shape, deviations: misfit })
 }
 
 /// Vehicles whose size contradicts a scale that is known otherwise, and those without the proportions of their class.
 ///
 /// * `known` – logarithm of meters per unit by other sources, and its standard deviation; `None` if unknown.
 pub fn contradicted_sizes(extents: &[Extent], known: Option<(f64, f64)>) -> Vec<OddVehicle> {
-    let against = |a: &SizeEstimate| {
-        let (log_scale, std) = known?;
-        let apart = a.log_scale - log_scale;
-        let deviations = apart.abs() / std.hypot(SHARED_BY_PLACE).hypot(a.total_std());
-        let ratio = apart.exp().clamp(f64::MIN_POSITIVE, f64::MAX);
-        (deviations > MAX_DEVIATIONS).then(|| OddVehicle::new(a.vehicle, Oddity::Scale(ratio), deviations))
-    };
-    let shape = |a: &SizeEstimate| (a.misfit > MAX_MISFIT).then(|| OddVehicle::new(a.vehicle, Oddity::Shape, a.misfit));
+    let known = known.map(|(log_scale, std)| (log_scale, std.hypot(SHARED_BY_PLACE)));
     let answers = by_vehicle(extents).into_values().filter_map(|extents| answer(&extents));
-    answers.filter_map(|a| against(&a).or_else(|| shape(&a))).collect()
+    answers.filter_map(|a| known.and_then(|known| contradiction(&a, known)).or_else(|| misshapen(&a))).collect()
 }
-
-/// Probability from which a bus or a truck is called a car: of such changes one in twenty is wrong at most.
-const IS_CAR: f64 = 0.95;
 
 /// Returns true if the extents of one vehicle, labeled as a bus or a truck, are those of a car.
 ///
 /// * `known` – as for [`contradicted_sizes`].
 pub fn is_car_by_size(extents: &[Extent], known: Option<(f64, f64)>) -> bool {
     let extents: Vec<Extent> = extents.iter().filter(|extent| extent.is_usable()).copied().collect();
-    probability_of_car(&extents, known) > IS_CAR
-}
-
-/// Mean by inverse variances, whose deviation grows with the disagreement, and what a place has in common.
-fn together(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
-    let (log_scale, std) = mean(answers)?;
-    Some((log_scale, std.hypot(SHARED_BY_PLACE)))
+    // One in twenty is wrong at most.
+    probability_of_car(&extents, known) > 0.95
 }
 
 /// Mean by inverse variances; its deviation has Birge's factor (`docs/maths/metric.md`, eq. 7), and the common part of
