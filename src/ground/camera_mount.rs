@@ -24,12 +24,10 @@ use crate::scene::{FrameId, Image, Point3dId, Reconstruction};
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum MountFailure {
     /// Too few frames to see a way.
-    #[error("only {found} frames registered; at least {needed} needed")]
+    #[error("only {found} frames registered; at least {needed} needed", needed = MIN_FRAMES)]
     TooFewFrames {
         /// Registered frames.
         found: usize,
-        /// Fewest that are needed.
-        needed: usize,
     },
     /// The camera turns against its way.
     #[error("camera not rigidly mounted: it turns by {degrees:.1}° relative to its path in half of the frames")]
@@ -38,12 +36,13 @@ pub enum MountFailure {
         degrees: f64,
     },
     /// Too few points of a road.
-    #[error("only {found} points below the camera are on one plane along its path; at least {needed} needed")]
+    #[error(
+        "only {found} points below the camera are on one plane along its path; at least {needed} needed",
+        needed = MIN_POINTS
+    )]
     TooFewPoints {
         /// Points on the best plane.
         found: usize,
-        /// Fewest that are needed.
-        needed: usize,
     },
     /// The camera is too high for the way it goes.
     #[error("path too short ({heights:.1} camera heights) to verify a constant camera height")]
@@ -84,9 +83,6 @@ pub struct Mount {
     pub num_points: usize,
 }
 
-/// Angle between the road and the dominant plane of a place up to which the latter is the ground, too, radians.
-const MAX_DISAGREEMENT: f64 = 0.07;
-
 impl Mount {
     fn new(axes: &Axes, fit: &Fit, drift: f64, num_points: usize) -> Self {
         let stds = fit.stds();
@@ -111,7 +107,7 @@ impl Mount {
         };
         let (angles, ratios): (Vec<f64>, Vec<f64>) = background.images.values().map(off).unzip();
         let within = |values: Vec<f64>, limit: f64| median(values).is_some_and(|typical| typical <= limit);
-        within(angles, MAX_DISAGREEMENT) && within(ratios, 0.25)
+        within(angles, 0.07) && within(ratios, 0.25)
     }
 }
 
@@ -119,21 +115,8 @@ impl Mount {
 const MIN_FRAMES: usize = 10;
 /// Fewest different points of the road.
 const MIN_POINTS: usize = 15;
-/// Median angle of the way against its mean direction in the camera's frame up to which the camera is fixed, radians.
-const MAX_TURN: f64 = 0.04;
-/// The way in heights below which a constant height is no sign of a vehicle.
-const MIN_WAY: f64 = 10.0;
-/// Up to which share the height may vary between parts of the way.
-const MAX_WANDER: f64 = 0.05;
 /// Parts of the way whose heights are compared.
 const NUM_PARTS: usize = 8;
-/// Up to which share of the height points may leave it open whether the camera climbs.
-const MAX_CLIMB: f64 = 0.15;
-/// Climbs that are tried: so many to either side, and the step between them.
-const NUM_CLIMBS: u8 = 10;
-const CLIMB_STEP: f64 = 0.05;
-/// By how many points a climb has to be worse than the best to be ruled out.
-const CLIMB_POINTS: f64 = 2.0;
 
 /// Finds the road below a camera that is fixed to a vehicle.
 ///
@@ -149,30 +132,31 @@ pub fn find_mount(
 ) -> Result<Mount, MountFailure> {
     let images: Vec<(FrameId, &Image)> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
     if images.len() < MIN_FRAMES {
-        return Err(MountFailure::TooFewFrames { found: images.len(), needed: MIN_FRAMES });
+        return Err(MountFailure::TooFewFrames { found: images.len() });
     }
     let axes = Axes::new(way_in_cam(&images)?);
     let seen = sightings(background, |id| ground_points.is_none_or(|ids| ids.binary_search(&id).is_ok()));
     let tracks: Vec<Track> = seen.iter().filter_map(|sighting| Track::new(sighting, &axes, options)).collect();
     let rng = &mut seeded_rng(seed, 0x006d_6f75_6e74);
+    let too_few = |found| MountFailure::TooFewPoints { found };
     let start = best_sample(&tracks, options.max_samples, rng);
-    let start = start.ok_or(MountFailure::TooFewPoints { found: 0, needed: MIN_POINTS })?;
-    let fit = refined(&tracks, start).ok_or(MountFailure::TooFewPoints { found: 0, needed: MIN_POINTS })?;
+    let fit = start.and_then(|start| refined(&tracks, start)).ok_or_else(|| too_few(0))?;
     let found = tracks.iter().filter(|track| track.weight_on(&fit) > 0.0).count();
     if found < MIN_POINTS {
-        return Err(MountFailure::TooFewPoints { found, needed: MIN_POINTS });
+        return Err(too_few(found));
     }
     let heights = way_length(&images) / fit.height;
-    if !(heights >= MIN_WAY) {
+    // Below ten a constant height is no sign of a vehicle.
+    if !(heights >= 10.0) {
         return Err(MountFailure::ShortWay { heights });
     }
     let climb = possible_climb(&tracks, &fit, &images);
-    if !(climb <= MAX_CLIMB) {
+    if !(climb <= 0.15) {
         return Err(MountFailure::MayClimb { percent: 100.0 * climb });
     }
     // Too few points to compare parts of the way leave what the whole way allows.
     let drift = drift(&tracks, &fit, &images).unwrap_or(0.5 * climb);
-    if !(drift <= MAX_WANDER) {
+    if !(drift <= 0.05) {
         return Err(MountFailure::HeightVaries { percent: 100.0 * drift });
     }
     Ok(Mount::new(&axes, &fit, drift, found))
@@ -181,20 +165,16 @@ pub fn find_mount(
 /// Mean direction of the camera's way in its own frame.
 fn way_in_cam(images: &[(FrameId, &Image)]) -> Result<Vector3<f64>, MountFailure> {
     let centers: Vec<Point3<f64>> = images.iter().map(|(_, image)| image.cam_from_world.center()).collect();
-    let reach = |k: usize| (k.saturating_sub(2), (k + 2).min(images.len() - 1));
-    let chords: Vec<Vector3<f64>> = (0..images.len())
-        .map(|k| {
-            let (first, last) = reach(k);
-            images[k].1.cam_from_world.rotation * (centers[last] - centers[first])
-        })
-        .collect();
+    let chord = |k: usize| centers[(k + 2).min(images.len() - 1)] - centers[k.saturating_sub(2)];
+    let chords: Vec<Vector3<f64>> =
+        images.iter().enumerate().map(|(k, (_, image))| image.cam_from_world.rotation * chord(k)).collect();
     // Where the vehicle stands, what is left is noise.
     let typical = median(chords.iter().map(|chord| chord.norm()).collect()).unwrap_or(0.0);
     let moving: Vec<Vector3<f64>> = chords.iter().filter(|c| c.norm() > 0.2 * typical).map(|c| c.normalize()).collect();
     let turns = |degrees| MountFailure::Turns { degrees };
     let mean = moving.iter().sum::<Vector3<f64>>().try_normalize(f64::EPSILON).ok_or(turns(90.0))?;
     let angle = median(moving.iter().map(|way| way.angle(&mean)).collect()).unwrap_or(std::f64::consts::FRAC_PI_2);
-    if angle <= MAX_TURN { Ok(mean) } else { Err(turns(angle.to_degrees())) }
+    if angle <= 0.04 { Ok(mean) } else { Err(turns(angle.to_degrees())) }
 }
 
 fn way_length(images: &[(FrameId, &Image)]) -> f64 {
@@ -208,7 +188,7 @@ fn drift(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> Option<f6
     let starts: Vec<FrameId> = (0..NUM_PARTS).map(|part| images[part * images.len() / NUM_PARTS].0).collect();
     let mut parts: Vec<Vec<&Track>> = vec![Vec::new(); NUM_PARTS];
     for track in tracks {
-        let part = starts.partition_point(|start| *start <= track.places[0].1).max(1) - 1;
+        let part = starts.partition_point(|start| *start <= track.places[0].frame).max(1) - 1;
         parts[part].push(track);
     }
     let heights = parts.iter().filter(|part| part.len() >= MIN_POINTS).filter_map(|part| height_of_part(part, fit));
@@ -225,27 +205,28 @@ fn possible_climb(tracks: &[Track], fit: &Fit, images: &[(FrameId, &Image)]) -> 
     let steadily = |climb: f64| move |frame: FrameId| 1.0 + climb * along(frame);
     let up_and_down = |climb: f64| move |frame: FrameId| 1.0 + climb * (2.0 * along(frame).powi(2) - 1.0);
     let places = Supports::new(tracks, fit);
-    let steps = i32::from(NUM_CLIMBS);
-    let climbs: Vec<f64> = (-steps..=steps).map(|k| CLIMB_STEP * f64::from(k)).collect();
-    let mut tried: Vec<(f64, f64)> = Vec::new();
-    for climb in climbs {
-        tried.push((climb.abs(), support_of_course(tracks, &places, fit, steadily(climb))));
-        tried.push((climb.abs(), support_of_course(tracks, &places, fit, up_and_down(climb))));
-    }
+    let tried = (-10..=10).flat_map(|k| {
+        let climb = 0.05 * f64::from(k);
+        [
+            (climb.abs(), support_of_course(tracks, &places, fit, steadily(climb))),
+            (climb.abs(), support_of_course(tracks, &places, fit, up_and_down(climb))),
+        ]
+    });
+    let tried: Vec<(f64, f64)> = tried.collect();
     let best = tried.iter().map(|(_, support)| *support).fold(0.0, f64::max);
-    let possible = tried.into_iter().filter(|(_, support)| *support >= best - CLIMB_POINTS);
+    // Two points less than the best rule a climb out.
+    let possible = tried.into_iter().filter(|(_, support)| *support >= best - 2.0);
     possible.map(|(climb, _)| climb).fold(0.0, f64::max)
 }
 
 /// The most support (eq. 5) that a plane gets whose distance from the camera follows `course`, up to a factor.
 fn support_of_course(tracks: &[Track], places: &Supports, fit: &Fit, course: impl Fn(FrameId) -> f64) -> f64 {
-    // Bounds the cost; the support is a vote of many points, of which these are an even sample.
-    const MAX_TRIED: usize = 60;
     let slope = fit.slope();
-    let height_at = |track: &Track| -slope(&track.places[0].0) / course(track.places[0].1);
+    let height_at = |track: &Track| -slope(&track.places[0].at) / course(track.places[0].frame);
     let is_possible = |height: &f64| (0.5..2.0).contains(&(height / fit.height));
     let possible: Vec<f64> = tracks.iter().map(height_at).filter(is_possible).collect();
-    let tried = possible.iter().step_by(possible.len().div_ceil(MAX_TRIED).max(1));
+    // Bounds the cost; the support is a vote of many points, of which these are an even sample.
+    let tried = possible.iter().step_by(possible.len().div_ceil(60).max(1));
     let mut heights: Vec<f64> = tried.copied().chain([fit.height]).collect();
     heights.sort_by(f64::total_cmp);
     places.supports(&heights, course).into_iter().fold(0.0, f64::max)
@@ -254,10 +235,9 @@ fn support_of_course(tracks: &[Track], places: &Supports, fit: &Fit, course: imp
 /// The height, up to twice or half of the mean, at which the most points of a part lie on the plane. All points take
 /// part: those on the plane of the whole way would confirm it.
 fn height_of_part(tracks: &[&Track], fit: &Fit) -> Option<f64> {
-    // Bounds the cost: every candidate is compared with all points.
-    const MAX_TRIED: usize = 200;
     let slope = fit.slope();
-    let tried = tracks.iter().step_by(tracks.len().div_ceil(MAX_TRIED)).map(|track| -slope(&track.places[0].0));
+    // Bounds the cost: every candidate is compared with all points.
+    let tried = tracks.iter().step_by(tracks.len().div_ceil(200)).map(|track| -slope(&track.places[0].at));
     let mut heights: Vec<f64> = tried.filter(|height| (0.5..2.0).contains(&(height / fit.height))).collect();
     heights.sort_by(f64::total_cmp);
     let supports = Supports::new(tracks.iter().copied(), fit).supports(&heights, |_| 1.0);

@@ -42,11 +42,6 @@ pub struct GroundChain<'a> {
     pub shape: BodyShape,
 }
 
-/// Share of an object's frames that labelled points have to give a plane to; else points without labels are asked.
-const ENOUGH: f64 = 0.5;
-/// By what factor the road may be less sure in all than points, and still be taken since it is steadier.
-const MUCH: f64 = 2.0;
-
 impl GroundChain<'_> {
     /// The plane below one object in every frame that is registered in both models, from the surest source that has
     /// one. The same seed gives the same planes, on any number of threads.
@@ -57,10 +52,12 @@ impl GroundChain<'_> {
         let local = |points: &[Point3dId]| local_planes(self.background, points, object, model, options, seed);
         let dominant =
             self.dominant.filter(|ground| self.mount.is_none_or(|mount| mount.agrees(self.background, ground)));
-        let labelled = local(self.labelled).with_basis(PlaneBasis::LabelledPoints);
+        let mut labelled = local(self.labelled);
+        labelled.planes.values_mut().for_each(|plane| plane.basis = PlaneBasis::LabelledPoints);
         let num_frames = (labelled.planes.len() + labelled.skipped.len()) as f64;
         let (mut found, points) = match dominant {
-            Some(ground) if (labelled.planes.len() as f64) < ENOUGH * num_frames => {
+            // Labeled points give a plane to less than half of the object's frames.
+            Some(ground) if (labelled.planes.len() as f64) < 0.5 * num_frames => {
                 (local(&ground.point_ids), ground.point_ids.as_slice())
             }
             _ => (labelled, self.labelled),
@@ -111,10 +108,11 @@ impl GroundChain<'_> {
     /// points of all frames bear it out, wherever it wanders less from frame to frame than they do.
     fn prefer_surer(&self, found: &mut LocalPlanes, mount: &Mount, model: &Reconstruction, options: &Options) {
         let roads = self.road(mount, model);
-        let is_borne_out = self.gaps(&found.planes, &roads, model).bear_out();
+        let is_borne_out = bear_out(&self.gaps(&found.planes, &roads, model));
         for (frame, road) in roads {
+            // A steadier road may be less sure in all by a factor of two.
             let stays = |plane: &GroundPlane| match is_borne_out {
-                true => plane.own_height_std() < road.own_height_std() || MUCH * plane.height_std < road.height_std,
+                true => plane.own_height_std() < road.own_height_std() || 2.0 * plane.height_std < road.height_std,
                 false => plane.num_points >= options.num_neighbors || plane.height_std <= road.height_std,
             };
             if !found.planes.get(&frame).is_some_and(stays) {
@@ -129,7 +127,7 @@ impl GroundChain<'_> {
         points: &BTreeMap<FrameId, GroundPlane>,
         roads: &BTreeMap<FrameId, GroundPlane>,
         model: &Reconstruction,
-    ) -> Gaps {
+    ) -> Vec<Gap> {
         let compared = |(frame, image, in_object): (FrameId, &Image, &Image)| {
             let (plane, road) = (points.get(&frame)?, roads.get(&frame)?);
             let height = road.signed_distance(image.cam_from_world.center());
@@ -140,7 +138,7 @@ impl GroundChain<'_> {
                 common_std: plane.common_height_std.hypot(road.common_height_std),
             })
         };
-        Gaps(self.background.paired_images(model).into_iter().filter_map(compared).collect())
+        self.background.paired_images(model).into_iter().filter_map(compared).collect()
     }
 
     /// The road below the object in every frame.
@@ -156,10 +154,9 @@ impl GroundChain<'_> {
     fn fill(&self, found: &mut LocalPlanes, dominant: &DominantPlane, model: &Reconstruction) {
         let spread = dominant.spread(self.background);
         for (frame, image, in_object) in self.background.paired_images(model) {
-            if found.planes.contains_key(&frame) {
-                continue;
-            }
-            if let Some(plane) = self.dominant_below(dominant, spread, image, &object_pixels(in_object)) {
+            if !found.planes.contains_key(&frame)
+                && let Some(plane) = self.dominant_below(dominant, spread, image, &object_pixels(in_object))
+            {
                 found.planes.insert(frame, plane);
             }
         }
@@ -199,24 +196,11 @@ struct Gap {
     common_std: f64,
 }
 
-struct Gaps(Vec<Gap>);
-
-impl Gaps {
-    /// Fewest frames in which planes of points and the road are compared.
-    const MIN_FRAMES: usize = 5;
-    /// Deviations beyond which they contradict one another.
-    const CONTRADICTION: f64 = 3.0;
-
-    fn median_of(&self, value: impl Fn(&Gap) -> f64) -> f64 {
-        median(self.0.iter().map(value).collect()).unwrap_or(f64::INFINITY)
-    }
-
-    /// Returns true if the points lie on the road: on average, and from frame to frame.
-    fn bear_out(&self) -> bool {
-        let middle = self.median_of(|gap| gap.height);
-        let spread = STD_PER_MAD * self.median_of(|gap| (gap.height - middle).abs());
-        let (own, common) = (self.median_of(|gap| gap.own_std), self.median_of(|gap| gap.common_std));
-        let is_steady = spread <= Self::CONTRADICTION * own;
-        self.0.len() >= Self::MIN_FRAMES && is_steady && middle.abs() <= Self::CONTRADICTION * common.hypot(own)
-    }
+/// Returns true if the points lie on the road: on average, and from frame to frame, within three standard deviations.
+fn bear_out(gaps: &[Gap]) -> bool {
+    let median_of = |value: &dyn Fn(&Gap) -> f64| median(gaps.iter().map(value).collect()).unwrap_or(f64::INFINITY);
+    let middle = median_of(&|gap| gap.height);
+    let spread = STD_PER_MAD * median_of(&|gap| (gap.height - middle).abs());
+    let (own, common) = (median_of(&|gap| gap.own_std), median_of(&|gap| gap.common_std));
+    gaps.len() >= 5 && spread <= 3.0 * own && middle.abs() <= 3.0 * common.hypot(own)
 }

@@ -18,7 +18,7 @@ use thiserror::Error;
 
 use super::Options;
 use super::plane::{Candidate, Plane, PlaneFailure, fit_plane, least_squares_plane};
-use crate::math::{Neighbors, seeded_rng, upper_median};
+use crate::math::{Neighbors, is_finite, seeded_rng, upper_median};
 use crate::scene::{Point3dId, Reconstruction};
 
 /// Why no ground was found.
@@ -106,11 +106,10 @@ pub fn dominant_plane_points(
 
 /// Points seen often enough, with the tolerance of their median depth (eq. 1).
 fn stable_points(background: &Reconstruction, options: &Options) -> (Vec<Point3dId>, Vec<Candidate>) {
-    let usable = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
     background
         .points
         .iter()
-        .filter(|(_, point)| point.track.len() >= options.min_observations && usable(&point.position))
+        .filter(|(_, point)| point.track.len() >= options.min_observations && is_finite(&point.position))
         .filter_map(|(id, point)| {
             let widths = point
                 .track
@@ -175,9 +174,6 @@ fn num_below(candidates: &[Candidate], plane: &Plane, side: f64) -> usize {
     candidates.iter().filter(|c| side * plane.distance(&c.position) < -3.0 * c.tolerance).count()
 }
 
-/// Nearest ground points that predict where the ground is.
-const NUM_PREDICTING: usize = 16;
-
 /// Adds points that continue the ground, in rounds, until a round adds less than one in 200.
 fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>, max_slope_deg: f64) {
     let least_cos = max_slope_deg.to_radians().cos();
@@ -186,7 +182,7 @@ fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>,
         let positions: Vec<[f64; 3]> = ground.iter().map(|&k| candidates[k].position.coords.into()).collect();
         let Some(tree) = Neighbors::new(&positions) else { return };
         let continues = |candidate: &Candidate| {
-            let nearest = tree.nearest(&candidate.position.coords.into(), NUM_PREDICTING);
+            let nearest = tree.nearest(&candidate.position.coords.into(), 16);
             let nearest: Vec<Candidate> = nearest.into_iter().map(|k| candidates[ground[k]]).collect();
             joins(candidate, &nearest, normal, least_cos)
         };

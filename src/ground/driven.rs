@@ -15,11 +15,9 @@ use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 use super::Options;
 use super::local::UNEVENNESS;
 use super::vehicle_trajectory::{BodyShape, VehiclePosition, VehicleTrajectory};
-use crate::math::{Neighbors, STD_PER_MAD, median};
+use crate::math::{Neighbors, STD_PER_MAD, any_across, is_finite, median};
 use crate::scene::{FrameId, GroundPlane, PlaneBasis, Point3dId, Reconstruction};
 
-/// Rounds of finding the path and planes from it: nearly right planes put the path some decimeters aside.
-const NUM_ROUNDS: usize = 2;
 /// In heights of the vehicle: within that all points on the path count, ...
 const NEAR: f64 = 2.0;
 /// ... and beyond that none.
@@ -29,18 +27,7 @@ const MAX_POINTS: usize = 500;
 /// Standard deviation of the slopes of a plane of the points round a vehicle.
 const TILT: f64 = 0.026;
 /// Maximum grade of the ground between a position and a point on the path.
-const GRADE: f64 = 0.05;
-/// Fewest frames whose planes are found from the path.
-const MIN_FRAMES: usize = 5;
-/// The most by which they may differ from the others, as a share of the camera's height: else one of the two is no
-/// ground.
-const MAX_GAP: f64 = 0.25;
-/// Maximum roughness of a plane, relative to the median of the path's planes: beyond that it lies across a kerb.
-const MAX_ROUGHNESS: f64 = 3.0;
-/// Pixels up to which every plane is smooth enough.
-const SMOOTH_PX: f64 = 1.0;
-/// Frames next to one without points of its own, that determine the difference of the two kinds of planes.
-const NUM_NEXT: usize = 9;
+const MAX_GRADE: f64 = 0.05;
 
 /// The same planes, where the vehicle's path has points through these, elsewhere lowered or raised as there.
 ///
@@ -54,7 +41,8 @@ pub(super) fn on_driven_ground(
     shape: &BodyShape,
 ) -> BTreeMap<FrameId, GroundPlane> {
     let mut better = planes.clone();
-    for _ in 0..NUM_ROUNDS {
+    // Nearly right planes put the path some decimeters aside.
+    for _ in 0..2 {
         let Some(path) = VehicleTrajectory::of(background, model, &better, options.min_observations, shape) else {
             break;
         };
@@ -95,7 +83,7 @@ impl<'a> Driven<'a> {
         let nearest = |point: &Point3<f64>| Some(&path.places[*places.as_ref()?.nearest(&(*point).into(), 1).first()?]);
         let stable = ground_points.iter().filter_map(|id| background.points.get(id)).map(|point| point.position);
         let points: Vec<Point3<f64>> = stable
-            .filter(|point| point.coords.iter().all(|x| x.is_finite()))
+            .filter(is_finite)
             .filter(|point| nearest(point).is_some_and(|place| path.covers(place, point, FAR * path.height)))
             .collect();
         let positions: Vec<[f64; 3]> = points.iter().map(|point| (*point).into()).collect();
@@ -118,22 +106,25 @@ impl<'a> Driven<'a> {
     fn fit(&self, place: &VehiclePosition, known: &GroundPlane, options: &Options) -> Option<Fit> {
         let origin = place.foot - known.normal * known.signed_distance(place.foot);
         let along = place.along.unwrap_or_else(|| any_across(&known.normal));
-        let axes = Axes { origin, along, left: known.normal.cross(&along).normalize(), up: known.normal };
-        let round: Vec<Vector3<f64>> =
-            self.round(place, options.num_neighbors).iter().map(|point| axes.coordinates(point)).collect();
+        let (left, up) = (known.normal.cross(&along).normalize(), known.normal);
+        let coordinates = |point: &Point3<f64>| {
+            let away = point - origin;
+            Vector3::new(along.dot(&away), left.dot(&away), up.dot(&away))
+        };
+        let round: Vec<Vector3<f64>> = self.round(place, options.num_neighbors).iter().map(coordinates).collect();
         let middle = median(round.iter().map(|x| x.z).collect())?;
         let tolerance = 2.0 * options.max_error_px * place.pixel;
         let near: Vec<Vector3<f64>> =
-            round.iter().filter(|x| (x.z - middle).abs() <= tolerance + GRADE * x.xy().norm()).copied().collect();
+            round.iter().filter(|x| (x.z - middle).abs() <= tolerance + MAX_GRADE * x.xy().norm()).copied().collect();
         if near.len() < options.min_points {
             return None;
         }
         let slope = Slope::through(&near, NEAR * self.path.height, 0.3 * place.pixel)?;
-        let normal = (axes.up - axes.along * slope.rise.x - axes.left * slope.rise.y).normalize();
+        let normal = (up - along * slope.rise.x - left * slope.rise.y).normalize();
         let common = UNEVENNESS * slope.rms;
         let plane = GroundPlane {
             normal,
-            point: axes.origin + axes.up * slope.above,
+            point: origin + up * slope.above,
             num_points: round.len(),
             num_inliers: slope.num_inliers,
             rms: slope.rms,
@@ -144,26 +135,6 @@ impl<'a> Driven<'a> {
         };
         Some(Fit { plane, above: slope.above, roughness: slope.rms / place.pixel })
     }
-}
-
-/// Axes at a place on a plane.
-struct Axes {
-    origin: Point3<f64>,
-    along: Vector3<f64>,
-    left: Vector3<f64>,
-    up: Vector3<f64>,
-}
-
-impl Axes {
-    fn coordinates(&self, point: &Point3<f64>) -> Vector3<f64> {
-        let away = point - self.origin;
-        Vector3::new(self.along.dot(&away), self.left.dot(&away), self.up.dot(&away))
-    }
-}
-
-fn any_across(normal: &Vector3<f64>) -> Vector3<f64> {
-    let axis = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
-    normal.cross(&axis).normalize()
 }
 
 /// z = above + rise · (x, y).
@@ -177,11 +148,6 @@ struct Slope {
 }
 
 impl Slope {
-    /// Rounds of reweighting.
-    const NUM_ROUNDS: usize = 20;
-    /// Tukey's constant, robust standard deviations.
-    const TUKEY: f64 = 4.685;
-
     /// Eq. 13b: near points count more, stray ones do not, and slopes are small. `None` where nothing is left.
     fn through(points: &[Vector3<f64>], reach: f64, least_std: f64) -> Option<Self> {
         let nearness = |x: &Vector3<f64>| (-0.5 * x.xy().norm_squared() / (reach * reach)).exp();
@@ -189,10 +155,10 @@ impl Slope {
         let mut solution = Vector3::new(median(points.iter().map(|x| x.z).collect())?, 0.0, 0.0);
         let mut covariance = Matrix3::zeros();
         let mut kept = Vec::new();
-        for _ in 0..Self::NUM_ROUNDS {
+        for _ in 0..20 {
             let residual = |x: &Vector3<f64>| x.z - solution.dot(&Vector3::new(1.0, x.x, x.y));
             let std = (STD_PER_MAD * median(points.iter().map(|x| residual(x).abs()).collect())?).max(least_std);
-            let tukey = |x: &Vector3<f64>| (1.0 - (residual(x) / (Self::TUKEY * std)).powi(2)).max(0.0).powi(2);
+            let tukey = |x: &Vector3<f64>| (1.0 - (residual(x) / (4.685 * std)).powi(2)).max(0.0).powi(2);
             let (mut normal_matrix, mut right) = (prior, Vector3::zeros());
             kept.clear();
             for x in points {
@@ -208,8 +174,8 @@ impl Slope {
             solution = covariance * right;
         }
         let rms = (kept.iter().map(|r| r * r).sum::<f64>() / kept.len().max(1) as f64).sqrt();
-        let is_finite = solution.iter().chain(covariance.iter()).all(|x| x.is_finite()) && covariance[(0, 0)] > 0.0;
-        is_finite.then(|| Self {
+        let is_known = solution.iter().chain(covariance.iter()).all(|x| x.is_finite()) && covariance[(0, 0)] > 0.0;
+        is_known.then(|| Self {
             above: solution.x,
             above_std: covariance[(0, 0)].sqrt(),
             rise: Vector2::new(solution.y, solution.z),
@@ -235,18 +201,20 @@ fn merged(
     let rms = median(fits.values().map(|fit| fit.plane.rms).collect())?;
     let is_sure = |fit: &&Fit| {
         let is_steady = fit.plane.own_height_std() <= spread.max(rms);
-        is_steady && fit.roughness <= (MAX_ROUGHNESS * roughness).max(SMOOTH_PX)
+        // A rougher plane lies across a kerb; below a pixel every one is smooth.
+        is_steady && fit.roughness <= (3.0 * roughness).max(1.0)
     };
     let sure: BTreeMap<FrameId, &Fit> =
         fits.iter().map(|(frame, fit)| (*frame, fit)).filter(|(_, fit)| is_sure(fit)).collect();
     let camera_height = median(path.places.iter().map(|place| place.camera_height).collect())?;
-    if sure.len() < MIN_FRAMES || middle.abs() > MAX_GAP * camera_height {
+    // Planes that differ by more are no ground, the ones or the others.
+    if sure.len() < 5 || middle.abs() > 0.25 * camera_height {
         return None;
     }
     let moved = |frame: FrameId, plane: &GroundPlane| {
         let mut next: Vec<(&FrameId, &&Fit)> = sure.iter().collect();
         next.sort_by_key(|(other, _)| other.0.abs_diff(frame.0));
-        let gap = median(next.iter().take(NUM_NEXT).map(|(_, fit)| fit.above).collect()).unwrap_or(middle);
+        let gap = median(next.iter().take(9).map(|(_, fit)| fit.above).collect()).unwrap_or(middle);
         let own = plane.own_height_std().hypot(spread);
         GroundPlane {
             point: plane.point + plane.normal * gap,

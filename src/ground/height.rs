@@ -10,7 +10,7 @@ use thiserror::Error;
 use super::Options;
 use super::plane::{Candidate, fit_plane};
 use crate::camera::SLOPE_STD;
-use crate::math::{Neighbors, median, seeded_rng};
+use crate::math::{Neighbors, is_finite, median, seeded_rng};
 use crate::scene::{Image, Point3dId, Reconstruction};
 
 /// The camera over the ground, in units of the background.
@@ -61,12 +61,6 @@ pub enum HeightFailure {
     },
 }
 
-/// Frames that are looked at; neighbours say nothing new.
-const MAX_FRAMES: usize = 60;
-/// Ground points per frame: so many that they reach further than a lane.
-const NUM_POINTS: usize = 200;
-/// A plane that is known no better at the camera's foot does not count, as a share of the height.
-const MAX_STD: f64 = 0.1;
 /// Common error of the planes of one place (drift, cambers, grass), as a share of the height. Of seven rendered flights
 /// (bumpy road, crossing, left curves, overtaking, two of right curves, steep street) heights were 0.4 to 3.3 % short.
 const COMMON_STD: f64 = 0.018;
@@ -83,19 +77,20 @@ pub fn camera_height(
     options: &Options,
     seed: u64,
 ) -> Result<CameraHeight, HeightFailure> {
-    let is_finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
     let points = ground_points.iter().filter_map(|id| background.points.get(id)).map(|point| point.position);
     let points: Vec<[f64; 3]> = points.filter(is_finite).map(|position| position.coords.into()).collect();
     let needed = options.min_points.max(3);
     let too_few = HeightFailure::TooFewPoints { found: points.len(), needed };
     let tree = Neighbors::new(&points).filter(|_| points.len() >= needed).ok_or(too_few)?;
-    let every = background.images.len().div_ceil(MAX_FRAMES).max(1);
+    // Neighbors of more than 60 frames say nothing new.
+    let every = background.images.len().div_ceil(60).max(1);
     let images: Vec<&Image> = background.images.values().step_by(every).collect();
     let found: Vec<Below> = (0..)
         .zip(&images)
         .filter_map(|(k, image)| {
             let center = image.cam_from_world.center();
-            let near = tree.nearest(&center.coords.into(), NUM_POINTS).into_iter().map(|i| points[i].into());
+            // So many that they reach further than a lane.
+            let near = tree.nearest(&center.coords.into(), 200).into_iter().map(|i| points[i].into());
             Below::of(background, image, near, options, (seed, 0x6865_6967_6874 + k))
         })
         .collect();
@@ -129,7 +124,7 @@ impl Below {
         let normal = plane.normal * height.signum();
         let foot = center - normal * height.abs();
         let std = plane.height_std_at(&foot).hypot(plane.rms / (plane.num_inliers as f64).sqrt());
-        (std <= MAX_STD * height.abs()).then_some(Self { height: height.abs(), std, normal, foot })
+        (std <= 0.1 * height.abs()).then_some(Self { height: height.abs(), std, normal, foot })
     }
 }
 

@@ -21,7 +21,7 @@ use nalgebra::{DMatrix, DVector, Matrix2, Matrix3, Matrix3x2, Point2, Point3, Un
 use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
-use super::local::{LocalPlanes, SkipReason, SkippedFrame, lowest_foot, object_pixels};
+use super::local::{LocalPlanes, SkipReason, lowest_foot, object_pixels};
 use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION, MAX_TILT_STD, ROLL_STD, up_in_cam};
 use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction, Rect};
@@ -112,30 +112,17 @@ impl StatedTilt {
 /// Standard deviation of an extent's logarithm along one path, which masks and changes of the view leave: 0.03 to 0.1
 /// on two rendered flights looking straight down.
 const EXTENT_STD: f64 = 0.07;
-/// Frames of a vehicle that count as one independent extent: masks err for a while.
-const FRAMES_TOGETHER: f64 = 10.0;
-/// Most independent extents of a vehicle: masks also grow along the whole path, as shadows become part of them.
-const MOST_EXTENTS: f64 = 3.0;
 /// Standard deviation of the logarithm of lengths among vehicles: cars, vans, and now and then a lorry.
 const SIZE_STD: f64 = 0.4;
-/// Width and height of a vehicle over its length: a car's.
-const PROPORTIONS: [f64; 2] = [0.4, 0.33];
 /// Length of the box that is projected, as a share of the camera's height: small, so that it is where its middle is.
 const BOX_LENGTH: f64 = 0.01;
-/// Frames of a vehicle that are looked at, evenly spread; more cost time only.
-const MOST_SIGHTS: usize = 20;
 /// Sights to both sides between which a vehicle's direction is taken.
 const REACH: usize = 3;
 /// Smallest inclination that is tried, radians: a horizon just outside the image.
 const MIN_INCLINATION: f64 = 0.03;
 const NUM_PITCHES: usize = 120;
-/// Fewest frames of a vehicle that counts.
-const MIN_FRAMES: usize = 6;
 /// Standard deviation of the ground's height below a vehicle as a share of the camera's: slopes and kerbs.
 const UNEVENNESS: f64 = 0.01;
-
-/// Deviations beyond which a source contradicts the others, as for sources of scale.
-const MAX_DEVIATIONS: f64 = 3.0;
 
 /// The ground that explains the sizes of vehicles and other sources; `None` where they do not determine it.
 ///
@@ -206,7 +193,8 @@ impl Difference {
         let deviations = self.angles.iter().map(|(_, deviations)| deviations.abs()).fold(0.0, f64::max);
         let angle = self.angles.iter().map(|(off, _)| *off).fold(0.0, f64::hypot);
         let source = self.source.clone();
-        (deviations > MAX_DEVIATIONS).then_some(TiltContradiction { source, angle, deviations })
+        // As for sources of scale.
+        (deviations > 3.0).then_some(TiltContradiction { source, angle, deviations })
     }
 }
 
@@ -259,10 +247,8 @@ impl TiltSolver {
             let tilt = self.tilt(&others)?;
             let others_std = tilt.std();
             let off = |(axis, off, std): (usize, f64, f64)| (off, off / std.hypot(others_std[axis]));
-            Some(Difference {
-                source: all[k].source.clone(),
-                angles: all[k].differences(tilt.angles).map(off).collect(),
-            })
+            let angles = all[k].differences(tilt.angles).map(off).collect();
+            Some(Difference { source: all[k].source.clone(), angles })
         };
         (0..all.len()).filter_map(against_others).collect()
     }
@@ -272,7 +258,8 @@ impl TiltSolver {
 fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, Rect>], zoom: f64) -> Vec<Vehicle> {
     let by_frame: BTreeMap<FrameId, &Image> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
     let sights_of = |vehicle: &BTreeMap<FrameId, Rect>| {
-        let step = vehicle.len().div_ceil(MOST_SIGHTS).max(1);
+        // More frames cost time only.
+        let step = vehicle.len().div_ceil(20).max(1);
         let sight = |(frame, seen): (&FrameId, &Rect)| {
             let image = by_frame.get(frame)?;
             let (camera, cam_from_world) = (background.camera_of(image).zoomed(zoom), image.cam_from_world.rotation);
@@ -281,10 +268,11 @@ fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, Rect>], zoo
             log_extent.is_finite().then_some(Sight { camera, cam_from_world, ray, log_extent })
         };
         let sights: Vec<Sight> = vehicle.iter().step_by(step).filter_map(sight).collect();
-        let extents = (vehicle.len() as f64 / FRAMES_TOGETHER).min(MOST_EXTENTS);
+        // Independent ones: masks err for a while, and grow along the whole path, as shadows become part of them.
+        let extents = (vehicle.len() as f64 / 10.0).min(3.0);
         Vehicle { weight: extents / sights.len().max(1) as f64, sights }
     };
-    vehicles.iter().filter(|images| images.len() >= MIN_FRAMES).map(sights_of).collect()
+    vehicles.iter().filter(|images| images.len() >= 6).map(sights_of).collect()
 }
 
 /// A vehicle in one frame.
@@ -323,18 +311,15 @@ impl Sight {
     /// Extent of a box of unit length on the ground, pixels; `None` where it is behind the camera.
     fn box_extent_px(&self, middle: &Vector3<f64>, forward: &Vector3<f64>, up: &Vector3<f64>) -> Option<f64> {
         let left = up.cross(forward);
-        let [width, height] = PROPORTIONS;
-        let mut ends = [[f64::INFINITY, f64::NEG_INFINITY]; 2];
-        for corner in 0..8u8 {
+        // Of a car, over its length.
+        let [width, height] = [0.4, 0.33];
+        let corner = |corner: u8| {
             let side = |bit: u8| if corner & bit == 0 { -0.5 } else { 0.5 };
             let offset = forward * side(1) + left * (side(2) * width) + up * ((side(4) + 0.5) * height);
-            let pixel =
-                self.camera.pixel_from_cam(Point3::from(self.cam_from_world * (middle + offset * BOX_LENGTH)))?;
-            for (end, at) in ends.iter_mut().zip([pixel.x, pixel.y]) {
-                *end = [end[0].min(at), end[1].max(at)];
-            }
-        }
-        Some(ends.iter().map(|[least, most]| most - least).fold(0.0, f64::max) / BOX_LENGTH)
+            self.camera.pixel_from_cam(Point3::from(self.cam_from_world * (middle + offset * BOX_LENGTH)))
+        };
+        let corners: Vec<Point2<f64>> = (0..8).map(corner).collect::<Option<_>>()?;
+        Some(Rect::around(&corners)?.extent_px() / BOX_LENGTH)
     }
 }
 
@@ -372,7 +357,6 @@ const LENGTH: usize = 2;
 impl Problem {
     /// The angles that explain vehicles and sources best, near some angles or anywhere, with their covariance.
     fn minimum(&self, stated: &[&StatedTilt], near: Option<Vector2<f64>>) -> Option<(Vector2<f64>, Matrix2<f64>)> {
-        const ROUNDS: usize = 40;
         let candidate = |k: usize| {
             let pitch = MIN_INCLINATION + (MAX_INCLINATION - MIN_INCLINATION) * k as f64 / NUM_PITCHES as f64;
             self.start(Vector2::new(pitch, 0.0))
@@ -381,7 +365,7 @@ impl Problem {
         let best = || (0..=NUM_PITCHES).map(candidate).min_by(|a, b| cost(a).total_cmp(&cost(b)));
         let mut at = near.map(|angles| self.start(angles)).or_else(best)?;
         let (mut here, mut damping) = (self.local(&at, stated), 1e-6);
-        for _ in 0..ROUNDS {
+        for _ in 0..40 {
             let diagonal = here.information.diagonal() * damping;
             let damped = &here.information + DMatrix::from_diagonal(&diagonal.add_scalar(f64::MIN_POSITIVE));
             let step = damped.cholesky().map(|factor| -factor.solve(&here.gradient));
@@ -460,15 +444,14 @@ impl HoveringGround {
         self.tilt_std.hypot(self.normal_by_focal.norm())
     }
 
-    /// Height of a camera over it.
-    fn height_of(&self, image: &Image) -> f64 {
-        self.normal_in_world.dot(&(image.cam_from_world.center() - self.point_in_world))
+    fn height_of(&self, point: Point3<f64>) -> f64 {
+        self.normal_in_world.dot(&(point - self.point_in_world))
     }
 
     /// The camera's height over it, which varies with its sway.
     pub fn camera_height(&self, background: &Reconstruction) -> CameraHeight {
         let num_frames = background.images.len();
-        let sum: f64 = background.images.values().map(|image| self.height_of(image)).sum();
+        let sum: f64 = background.images.values().map(|image| self.height_of(image.cam_from_world.center())).sum();
         let mean = if num_frames > 0 { sum / num_frames as f64 } else { 1.0 };
         CameraHeight {
             mean,
@@ -485,26 +468,22 @@ impl HoveringGround {
     /// Where a ray meets it; `None` where it passes too close to the horizon.
     pub fn meets(&self, from: Point3<f64>, direction: &Vector3<f64>) -> Option<Point3<f64>> {
         let dip = -self.normal_in_world.dot(direction) / direction.norm();
-        let height = self.normal_in_world.dot(&(from - self.point_in_world));
-        (dip >= LEAST_DIP).then(|| from + direction.normalize() * (height / dip))
+        (dip >= LEAST_DIP).then(|| from + direction.normalize() * (self.height_of(from) / dip))
     }
 
     /// The plane below an object in every frame that is registered in both models.
     pub(super) fn planes(&self, background: &Reconstruction, model: &Reconstruction) -> LocalPlanes {
-        let mut found = LocalPlanes::default();
-        for (frame, image, in_object) in background.paired_images(model) {
-            match self.plane_below(background, image, &object_pixels(in_object)) {
-                Some(plane) => drop(found.planes.insert(frame, plane)),
-                None => found.skipped.push(SkippedFrame { frame, reason: SkipReason::NoObjectObservations }),
-            }
-        }
-        found
+        let below = |(frame, image, in_object): (FrameId, &Image, &Image)| {
+            let plane = self.plane_below(background, image, &object_pixels(in_object));
+            (frame, plane.ok_or(SkipReason::NoObjectObservations))
+        };
+        background.paired_images(model).into_iter().map(below).collect()
     }
 
     fn plane_below(&self, background: &Reconstruction, image: &Image, pixels: &[Point2<f64>]) -> Option<GroundPlane> {
         let normal = self.normal_in_world;
         let center = image.cam_from_world.center();
-        let height = self.height_of(image);
+        let height = self.height_of(center);
         let foot = lowest_foot(background, image, pixels, (&normal, height))?;
         let point = center - normal * height;
         let off = foot - point;

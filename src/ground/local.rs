@@ -51,11 +51,16 @@ pub struct LocalPlanes {
     pub skipped: Vec<SkippedFrame>,
 }
 
-impl LocalPlanes {
-    /// The same planes with another basis.
-    pub(super) fn with_basis(mut self, basis: PlaneBasis) -> Self {
-        self.planes.values_mut().for_each(|plane| plane.basis = basis);
-        self
+impl FromIterator<(FrameId, Result<GroundPlane, SkipReason>)> for LocalPlanes {
+    fn from_iter<I: IntoIterator<Item = (FrameId, Result<GroundPlane, SkipReason>)>>(results: I) -> Self {
+        let mut found = Self::default();
+        for (frame, plane) in results {
+            match plane {
+                Ok(plane) => drop(found.planes.insert(frame, plane)),
+                Err(reason) => found.skipped.push(SkippedFrame { frame, reason }),
+            }
+        }
+        found
     }
 }
 
@@ -91,14 +96,7 @@ pub fn local_planes(
             (frame, plane)
         })
         .collect();
-    let mut found = LocalPlanes::default();
-    for (frame, plane) in results {
-        match plane {
-            Ok(plane) => drop(found.planes.insert(frame, plane)),
-            Err(reason) => found.skipped.push(SkippedFrame { frame, reason }),
-        }
-    }
-    found
+    results.into_iter().collect()
 }
 
 /// Pixel positions of the ground points that an image observes.
@@ -163,7 +161,7 @@ fn plane_of_frame(
         basis: PlaneBasis::Points,
         height_std: stated.hypot(UNEVENNESS * plane.rms),
         common_height_std: UNEVENNESS * plane.rms,
-        tilt_std: plane.sureness.tilt_std(),
+        tilt_std: plane.tilt_std(),
     })
 }
 

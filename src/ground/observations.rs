@@ -23,9 +23,6 @@ pub(super) struct PointObservations {
 }
 
 impl PointObservations {
-    /// Views that a point is asked for: more say nothing new of it.
-    const MAX_VIEWS: usize = 8;
-
     /// Variance along a direction of a camera's frame, for a noise of one pixel.
     pub(super) fn variance_along(&self, view: &PointView, direction_in_cam: &Vector3<f64>) -> f64 {
         let in_world = view.cam_from_world.inverse() * direction_in_cam;
@@ -50,7 +47,8 @@ impl PointObservations {
         }
         let covariance = information.try_inverse().filter(|c| c.iter().all(|x| x.is_finite()))?;
         views.sort_by(|a, b| a.in_cam.z.total_cmp(&b.in_cam.z));
-        views.truncate(Self::MAX_VIEWS);
+        // More say nothing new of it.
+        views.truncate(8);
         (!views.is_empty()).then_some(Self { views, covariance })
     }
 }

@@ -46,25 +46,10 @@ pub(super) struct Plane {
     pub point: Point3<f64>,
     pub num_inliers: usize,
     pub rms: f64,
-    pub sureness: Sureness,
-}
-
-/// Accuracy of a plane that points determine (eq. 13).
-#[derive(Clone, Copy, Debug)]
-pub(super) struct Sureness {
-    /// Variance of the height at the plane's point.
+    /// Variance of the height at `point` (eq. 13).
     height_var: f64,
     /// Two directions in the plane at right angles, and the variance of the slope along each.
     slopes: [(Vector3<f64>, f64); 2],
-}
-
-impl Sureness {
-    const NONE: Self = Self { height_var: 0.0, slopes: [(Vector3::new(0.0, 0.0, 0.0), 0.0); 2] };
-
-    /// Of the larger of the two slopes, radians.
-    pub(super) fn tilt_std(&self) -> f64 {
-        self.slopes[0].1.max(self.slopes[1].1).sqrt()
-    }
 }
 
 impl Plane {
@@ -72,20 +57,22 @@ impl Plane {
         self.normal.dot(&(point - self.point))
     }
 
+    /// Standard deviation of the larger of the two slopes, radians.
+    pub(super) fn tilt_std(&self) -> f64 {
+        self.slopes[0].1.max(self.slopes[1].1).sqrt()
+    }
+
     /// Standard deviation of the height at a place of the plane.
     pub(super) fn height_std_at(&self, place: &Point3<f64>) -> f64 {
         let away = place - self.point;
-        let tilted = self.sureness.slopes.iter().map(|(direction, var)| direction.dot(&away).powi(2) * var);
-        (self.sureness.height_var + tilted.sum::<f64>()).sqrt()
+        let tilted = self.slopes.iter().map(|(direction, var)| direction.dot(&away).powi(2) * var);
+        (self.height_var + tilted.sum::<f64>()).sqrt()
     }
 
     fn holds(&self, candidate: &Candidate) -> bool {
         self.distance(&candidate.position).abs() <= candidate.tolerance
     }
 }
-
-/// Samples until a plane with more inliers is less likely than 1 in 10,000.
-const FAILURE_PROBABILITY: f64 = 1e-4;
 
 /// The plane that the most points agree on.
 ///
@@ -124,10 +111,10 @@ pub(super) fn fit_plane(
         .ok_or(PlaneFailure::Narrow { num_points: plane.num_inliers })
 }
 
-/// Eq. 6.
+/// Samples until a plane with more inliers is less likely than 1 in 10,000 (eq. 6).
 fn samples_needed(inlier_share: f64) -> usize {
     let all_inliers = inlier_share.powi(3).clamp(1e-9, 1.0 - 1e-9);
-    (FAILURE_PROBABILITY.ln() / (-all_inliers).ln_1p()).ceil() as usize
+    (1e-4_f64.ln() / (-all_inliers).ln_1p()).ceil() as usize
 }
 
 /// Three points drawn at random; `None` if they lie too nearly on a line (eq. 4).
@@ -138,7 +125,14 @@ fn through_sample(points: &[Candidate], rng: &mut Rng) -> Option<Plane> {
     let normal = ab.cross(&ac);
     // A triangle thinner than 1 in 100 says little about its plane; equal draws have no area at all.
     let is_wide = normal.norm() > 0.01 * ab.norm_squared().max(ac.norm_squared());
-    is_wide.then(|| Plane { normal: normal.normalize(), point: a, num_inliers: 0, rms: 0.0, sureness: Sureness::NONE })
+    is_wide.then(|| Plane {
+        normal: normal.normalize(),
+        point: a,
+        num_inliers: 0,
+        rms: 0.0,
+        height_var: 0.0,
+        slopes: Default::default(),
+    })
 }
 
 /// Sum of MSAC scores (eq. 5), and the number of inliers.
@@ -188,8 +182,8 @@ pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
     let squares = points.iter().map(|c| normal.dot(&offset(c)).powi(2) * weight(c)).sum::<f64>();
     let height_var = squares / (points.len() as f64 - 3.0).max(1.0) / total;
     let slope = |k: usize| (eigen.eigenvectors.column(order[k]).into_owned(), height_var / eigen.eigenvalues[order[k]]);
-    let sureness = Sureness { height_var, slopes: [slope(1), slope(2)] };
-    let plane = Plane { normal, point: center.into(), num_inliers: points.len(), rms, sureness };
+    let slopes = [slope(1), slope(2)];
+    let plane = Plane { normal, point: center.into(), num_inliers: points.len(), rms, height_var, slopes };
     (is_wide && normal.iter().all(|x| x.is_finite())).then_some(plane)
 }
 

@@ -6,7 +6,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Point2, Point3, Vector3};
+use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
 use super::camera_mount::Mount;
 use super::local::lowest_foot;
@@ -16,15 +16,8 @@ use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 /// Differences of lanes in their cross slope: a quarter of the usual crossfall of a carriageway, whose lanes are mostly
 /// inclined alike.
 const CROSSFALL: f64 = 0.005;
-/// Change of a road's slope along it that is usual, per height of the camera, squared mean: a radius of 1.9 km for a
-/// camera at 1.3 m.
-const CURVATURE: f64 = 0.0007;
-/// Length of the road, in heights of the camera, to either side of a place over which its bend there is measured.
-const BEND_SPAN: f64 = 10.0;
 /// Standard deviation of a vehicle's inclination on its springs, radians.
 const SPRING_TILT: f64 = 0.005;
-/// Reach of the places that are averaged, in heights of the camera.
-const REACH: f64 = 5.0;
 /// Maximum distance of an object whose lowest ray does not meet the road, in heights of the camera.
 const FAR: f64 = 60.0;
 
@@ -45,7 +38,8 @@ impl<'a> Road<'a> {
             (image.cam_from_world.center() - normal * mount.height, normal)
         };
         let places: BTreeMap<_, _> = background.images.iter().map(|(id, image)| (id.frame(), below(image))).collect();
-        let bend = hypot([bend_of(&places, BEND_SPAN * mount.height), CURVATURE / mount.height]);
+        // A change of slope that is usual: a radius of 1.9 km for a camera at 1.3 m.
+        let bend = hypot([bend_of(&places, 10.0 * mount.height), 0.0007 / mount.height]);
         Self { background, mount, places, bend }
     }
 
@@ -84,15 +78,15 @@ impl<'a> Road<'a> {
     /// The places of the way nearest to a foot.
     fn near(&self, foot: &Point3<f64>) -> Near {
         let distance = |place: &Point3<f64>| (place - foot).norm();
-        let nearest = self.places.values().min_by(|a, b| distance(&a.0).total_cmp(&distance(&b.0)));
-        let middle = nearest.map_or(*foot, |(place, _)| *place);
+        let nearest = self.places.values().map(|(place, _)| *place);
+        let middle = nearest.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(*foot);
         let gap = distance(&middle);
-        let reach = (REACH * self.mount.height).max(0.5 * gap);
+        let reach = (5.0 * self.mount.height).max(0.5 * gap);
         let weighted = self.places.values().map(|(place, normal)| {
             let away = (place - middle).norm() / reach;
             ((-0.5 * away * away).exp(), *place, *normal)
         });
-        Near { weighted: weighted.filter(|(weight, ..)| *weight > 1e-3).collect() }
+        Near(weighted.filter(|(weight, ..)| *weight > 1e-3).collect())
     }
 
     fn with_deviations(&self, plane: GroundPlane, foot: &Point3<f64>, near: &Near) -> GroundPlane {
@@ -140,47 +134,43 @@ fn hypot<const N: usize>(parts: [f64; N]) -> f64 {
 }
 
 /// Places of the road with their weights and normals.
-struct Near {
-    weighted: Vec<(f64, Point3<f64>, Vector3<f64>)>,
-}
+struct Near(Vec<(f64, Point3<f64>, Vector3<f64>)>);
 
 impl Near {
     /// As how many equal places they count.
     fn count(&self) -> f64 {
-        let (sum, squares) = self.weighted.iter().fold((0.0, 0.0), |(a, b), (w, ..)| (a + w, b + w * w));
+        let (sum, squares) = self.0.iter().fold((0.0, 0.0), |(a, b), (w, ..)| (a + w, b + w * w));
         if squares > 0.0 { sum * sum / squares } else { 0.0 }
     }
 
+    fn total(&self) -> f64 {
+        self.0.iter().map(|(weight, ..)| weight).sum()
+    }
+
     fn middle(&self) -> Option<Point3<f64>> {
-        let total: f64 = self.weighted.iter().map(|(weight, ..)| weight).sum();
-        let sum: Vector3<f64> = self.weighted.iter().map(|(weight, place, _)| place.coords * *weight).sum();
-        (total > 0.0).then(|| Point3::from(sum / total))
+        let sum: Vector3<f64> = self.0.iter().map(|(weight, place, _)| place.coords * *weight).sum();
+        Some(self.total()).filter(|total| *total > 0.0).map(|total| Point3::from(sum / total))
     }
 
     /// The direction in which the places follow one another; `None` where the camera stands.
     fn way(&self, mount: &Mount) -> Option<Vector3<f64>> {
         let middle = self.middle()?;
-        let spread: nalgebra::Matrix3<f64> = self
-            .weighted
-            .iter()
-            .map(|(weight, place, _)| (place - middle) * (place - middle).transpose() * *weight)
-            .sum();
-        let total: f64 = self.weighted.iter().map(|(weight, ..)| weight).sum();
-        let eigen = symmetric_eigen(spread)?;
+        let scatter =
+            |(weight, place, _): &(f64, Point3<f64>, _)| (place - middle) * (place - middle).transpose() * *weight;
+        let eigen = symmetric_eigen(self.0.iter().map(scatter).sum::<Matrix3<f64>>())?;
         let largest = eigen.eigenvalues.imax();
-        let moves = eigen.eigenvalues[largest] > total * (0.3 * mount.height).powi(2);
+        let moves = eigen.eigenvalues[largest] > self.total() * (0.3 * mount.height).powi(2);
         moves.then(|| eigen.eigenvectors.column(largest).into_owned())
     }
 
     /// The plane through the middle, along the way, as level across it as the mean of the normals.
     fn plane(&self, mount: &Mount) -> Option<GroundPlane> {
         let point = self.middle()?;
-        let mean: Vector3<f64> = self.weighted.iter().map(|(weight, _, normal)| *normal * *weight).sum();
+        let mean: Vector3<f64> = self.0.iter().map(|(weight, _, normal)| *normal * *weight).sum();
         let across = self.way(mount).map_or(mean, |way| mean - way * way.dot(&mean));
         let normal = across.try_normalize(f64::EPSILON)?;
-        let distances = self.weighted.iter().map(|(weight, place, _)| weight * normal.dot(&(place - point)).powi(2));
-        let total: f64 = self.weighted.iter().map(|(weight, ..)| weight).sum();
-        let rms = (distances.sum::<f64>() / total).sqrt();
+        let distances = self.0.iter().map(|(weight, place, _)| weight * normal.dot(&(place - point)).powi(2));
+        let rms = (distances.sum::<f64>() / self.total()).sqrt();
         let is_finite = normal.iter().chain(point.iter()).chain([&rms]).all(|x| x.is_finite());
         is_finite.then_some(GroundPlane {
             normal,

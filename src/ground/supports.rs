@@ -27,11 +27,11 @@ impl Supports {
         let of_track = |track: &'a Track| {
             let slope = &slope;
             let share = 1.0 / track.places.len() as f64;
-            track.places.iter().zip(&track.tolerances).map(move |((place, frame), tolerance)| SupportObservation {
-                frame: *frame,
-                height: -slope(place),
-                tolerance: tolerance.off,
-                weight: share * tolerance.sureness,
+            track.places.iter().map(move |place| SupportObservation {
+                frame: place.frame,
+                height: -slope(&place.at),
+                tolerance: place.tolerance,
+                weight: share * place.sureness,
             })
         };
         Self(tracks.into_iter().flat_map(of_track).collect())
@@ -68,7 +68,7 @@ impl Supports {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ground::trajectory_plane::Tolerance;
+    use crate::ground::trajectory_plane::Place;
     use crate::math::seeded_rng;
     use nalgebra::{Matrix3, Vector3};
     use rand::Rng as _;
@@ -78,10 +78,11 @@ mod tests {
         let mut rng = seeded_rng(4, 0);
         let fit = Fit { height: 1.5, roll: 0.02, pitch: -0.01, covariance: Matrix3::zeros() };
         let mut track = |k: u32| {
-            let mut place = || Vector3::new(rng.random_range(-2.5..-0.5), rng.random_range(-4.0..4.0), 9.0);
-            let places = vec![(place(), FrameId(k)), (place(), FrameId(k + 1))];
-            let tolerances = [0.3, 0.05].map(|off| Tolerance { off, sureness: 0.5 + off, std: 0.02 });
-            Track { places, tolerances: tolerances.to_vec() }
+            let mut place = |frame: u32, tolerance: f64| {
+                let at = Vector3::new(rng.random_range(-2.5..-0.5), rng.random_range(-4.0..4.0), 9.0);
+                Place { at, frame: FrameId(frame), tolerance, std: 0.02, sureness: 0.5 + tolerance }
+            };
+            Track { places: vec![place(k, 0.3), place(k + 1, 0.05)] }
         };
         let tracks: Vec<Track> = (0..200).map(&mut track).collect();
         let heights: Vec<f64> = (0..40).map(|k| 0.75 + 0.05 * f64::from(k)).collect();

@@ -4,7 +4,7 @@ use nalgebra::{Matrix2, Matrix3, Vector2, Vector3};
 use rand::Rng as _;
 
 use super::Options;
-use super::observations::PointObservations;
+use super::observations::{PointObservations, PointView};
 use crate::math::Rng;
 use crate::scene::FrameId;
 
@@ -13,8 +13,6 @@ use crate::scene::FrameId;
 const ROLL_STD: f64 = 0.087;
 /// The way is parallel to the road: standard deviation of the angle between them, radians.
 const PITCH_STD: f64 = 0.005;
-/// Noise of an image position, pixels.
-const NOISE_PX: f64 = 1.0;
 
 /// Right-angled axes in the camera's frame: along its way, up, and to the right.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,50 +63,45 @@ impl Fit {
 
 /// One point, as the frames see it that are nearest to it.
 pub(super) struct Track {
-    /// Coordinates up, right and along the way of the camera, and the frame.
-    pub places: Vec<(Vector3<f64>, FrameId)>,
-    /// By place.
-    pub tolerances: Vec<Tolerance>,
+    pub places: Vec<Place>,
 }
 
-/// Tolerance of a position's distance from a plane.
+/// Position of a point as one frame sees it.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Tolerance {
-    /// Up to this distance it lies on it (eq. 1).
-    pub off: f64,
+pub(super) struct Place {
+    /// Coordinates up, right and along the way of the camera.
+    pub at: Vector3<f64>,
+    pub frame: FrameId,
+    /// Up to this distance it lies on a plane (eq. 1).
+    pub tolerance: f64,
     /// Standard deviation of its height.
     pub std: f64,
-    /// Information of that distance: 1 for an exact one.
+    /// Information of its distance from a plane: 1 for an exact one.
     pub sureness: f64,
-}
-
-impl Tolerance {
-    fn new(off: f64, std: f64) -> Self {
-        Self { off, std, sureness: 1.0 / (1.0 + (std / off).powi(2)) }
-    }
 }
 
 impl Track {
     pub(super) fn new(sighting: &PointObservations, axes: &Axes, options: &Options) -> Option<Self> {
-        let up_down = |x: &Vector3<f64>| Vector3::new(axes.up.dot(x), axes.right.dot(x), axes.way.dot(x));
-        let seen: Vec<_> = sighting.views.iter().filter(|view| axes.up.dot(&view.in_cam.coords) < 0.0).collect();
-        let places = seen.iter().map(|view| (up_down(&view.in_cam.coords), view.frame)).collect();
-        let tolerances = seen.iter().map(|view| {
-            let pixel = view.in_cam.z / view.focal;
-            let own_var = sighting.variance_along(view, &axes.up) * NOISE_PX * NOISE_PX;
-            Tolerance::new(options.max_error_px * pixel, (own_var + pixel * pixel * NOISE_PX * NOISE_PX).sqrt())
-        });
-        let tolerances: Vec<_> = tolerances.collect();
-        let is_usable = !seen.is_empty() && tolerances.iter().all(|t| t.off.is_finite() && t.std.is_finite());
-        is_usable.then_some(Self { places, tolerances })
+        let place = |view: &PointView| {
+            let (x, pixel) = (&view.in_cam.coords, view.in_cam.z / view.focal);
+            // The noise of an image position is a pixel.
+            let std = (sighting.variance_along(view, &axes.up) + pixel * pixel).sqrt();
+            let tolerance = options.max_error_px * pixel;
+            let sureness = 1.0 / (1.0 + (std / tolerance).powi(2));
+            let at = Vector3::new(axes.up.dot(x), axes.right.dot(x), axes.way.dot(x));
+            Place { at, frame: view.frame, tolerance, std, sureness }
+        };
+        let places: Vec<Place> = sighting.views.iter().map(place).filter(|place| place.at.x < 0.0).collect();
+        let is_finite = |place: &Place| place.tolerance.is_finite() && place.std.is_finite();
+        (!places.is_empty() && places.iter().all(is_finite)).then_some(Self { places })
     }
 
     /// Mean of the scores of MSAC (eq. 5), and the share of places plainly below, of a plane whose height may differ
     /// from frame to frame.
     pub(super) fn score(&self, slope: &impl Fn(&Vector3<f64>) -> f64, height: impl Fn(FrameId) -> f64) -> (f64, f64) {
-        let each = self.places.iter().zip(&self.tolerances).map(|((place, frame), tolerance)| {
-            let off = (slope(place) + height(*frame)) / tolerance.off;
-            (tolerance.sureness * (1.0 - off * off).max(0.0), f64::from(off < -3.0))
+        let each = self.places.iter().map(|place| {
+            let off = (slope(&place.at) + height(place.frame)) / place.tolerance;
+            (place.sureness * (1.0 - off * off).max(0.0), f64::from(off < -3.0))
         });
         let (support, below) = each.fold((0.0, 0.0), |sum, (a, b)| (sum.0 + a, sum.1 + b));
         let count = self.places.len() as f64;
@@ -117,13 +110,12 @@ impl Track {
 
     /// The most that [`Self::score`] gives.
     fn largest_score(&self) -> f64 {
-        self.tolerances.iter().map(|tolerance| tolerance.sureness).sum::<f64>() / self.places.len() as f64
+        self.places.iter().map(|place| place.sureness).sum::<f64>() / self.places.len() as f64
     }
 
     /// Tukey's weight of the point, from the mean of its distances in tolerances.
     pub(super) fn weight_on(&self, fit: &Fit) -> f64 {
-        let off =
-            self.places.iter().zip(&self.tolerances).map(|((place, _), tolerance)| fit.over(place) / tolerance.off);
+        let off = self.places.iter().map(|place| fit.over(&place.at) / place.tolerance);
         let mean = off.sum::<f64>() / self.places.len() as f64;
         (1.0 - mean * mean).max(0.0).powi(2)
     }
@@ -139,7 +131,7 @@ pub(super) fn best_sample(tracks: &[Track], max_samples: usize, rng: &mut Rng) -
     (1..rest.len()).rev().for_each(|k| rest[k - 1] += rest[k]);
     let mut best: Option<(f64, Fit)> = None;
     for _ in 0..max_samples {
-        let mut draw = || tracks[rng.random_range(0..tracks.len())].places[0].0;
+        let mut draw = || tracks[rng.random_range(0..tracks.len())].places[0].at;
         let Some(fit) = through_two(draw(), draw()) else { continue };
         let least = best.map_or(0.0, |(value, _)| value);
         if let Some(value) = value_above(tracks, &rest, &fit, least) {
@@ -153,12 +145,11 @@ pub(super) fn best_sample(tracks: &[Track], max_samples: usize, rng: &mut Rng) -
 ///
 /// * `rest` – by point, what it and those behind it can add at most.
 fn value_above(tracks: &[Track], rest: &[f64], fit: &Fit, least: f64) -> Option<f64> {
-    // The bound is checked once for so many points, which costs hardly anything.
-    const AT_A_TIME: usize = 64;
     let prior = (-0.5 * (fit.roll / ROLL_STD).powi(2)).exp();
     let slope = fit.slope();
     let (mut support, mut below) = (0.0, 0.0);
-    for (tracks, rest) in tracks.chunks(AT_A_TIME).zip(rest.chunks(AT_A_TIME)) {
+    // The bound is checked once for many points, which costs hardly anything.
+    for (tracks, rest) in tracks.chunks(64).zip(rest.chunks(64)) {
         if prior * (support - 0.5 * below + rest[0]) <= least {
             return None;
         }
@@ -186,15 +177,16 @@ pub(super) fn refined(tracks: &[Track], start: Fit) -> Option<Fit> {
     for _ in 0..20 {
         let (mut information, mut right_side, mut squares, mut count) = (Matrix3::zeros(), Vector3::zeros(), 0.0, 0.0);
         for track in tracks {
-            let weight = track.weight_on(&fit) / track.places.len() as f64;
-            for ((place, _), Tolerance { std, .. }) in track.places.iter().zip(&track.tolerances) {
-                let row = Vector3::new(1.0, place.y, place.z);
+            let of_track = track.weight_on(&fit);
+            let weight = of_track / track.places.len() as f64;
+            for Place { at, std, .. } in &track.places {
+                let row = Vector3::new(1.0, at.y, at.z);
                 let of_place = weight / (std * std);
                 information += row * row.transpose() * of_place;
-                right_side -= row * (place.x * of_place);
-                squares += weight * (fit.over(place) / std).powi(2);
+                right_side -= row * (at.x * of_place);
+                squares += weight * (fit.over(at) / std).powi(2);
             }
-            count += track.weight_on(&fit);
+            count += of_track;
         }
         // Points are off by more than their noise, as roads are not plane.
         let excess = (squares / (count - 3.0).max(1.0)).max(1.0);

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 use serde::Serialize;
 
-use crate::math::{median, quantile};
+use crate::math::{centroid, is_finite, median, quantile_range};
 use crate::scene::{FrameId, GroundPlane, Image, Reconstruction};
 
 /// A place of the vehicle.
@@ -47,17 +47,6 @@ pub(super) struct VehicleTrajectory {
     pub height: f64,
 }
 
-/// Fewest points of a vehicle whose shape is taken for known.
-const MIN_POINTS: usize = 10;
-/// Fewest places in which a vehicle moves.
-const MIN_PLACES: usize = 5;
-/// Heights of the vehicle over which the direction of its path is taken.
-const STEP: f64 = 2.0;
-/// The least width of what it covers, in heights of the vehicle.
-const LEAST_WIDTH: f64 = 0.6;
-/// Places at which its width is measured.
-const NUM_MEASURED: usize = 50;
-
 impl VehicleTrajectory {
     /// The path of an object with the given planes; `None` for one that does not move by more than about its own
     /// length, or of which too little is known.
@@ -81,11 +70,11 @@ impl VehicleTrajectory {
         let mut places: Vec<VehiclePosition> = seen.iter().map(|seen| seen.place(background, &foot, ratio)).collect();
         let feet: Vec<Point3<f64>> = places.iter().map(|place| place.foot).collect();
         for (k, place) in places.iter_mut().enumerate() {
-            place.along = direction(&feet, k, STEP * height).and_then(|d| level(&d, &place.up));
+            place.along = direction(&feet, k, 2.0 * height).and_then(|d| level(&d, &place.up));
         }
-        let band = at_least_as_wide(covered(&seen, &places, &body, ratio)?, LEAST_WIDTH * height);
-        let is_finite = height.is_finite() && feet.iter().all(|foot| foot.coords.iter().all(|x| x.is_finite()));
-        is_finite.then_some(Self { places, band, height })
+        let band = at_least_as_wide(covered(&seen, &places, &body, ratio)?, 0.6 * height);
+        let is_known = height.is_finite() && feet.iter().all(is_finite);
+        is_known.then_some(Self { places, band, height })
     }
 
     /// Returns true if the vehicle, at the position nearest to a point, passes over it.
@@ -153,10 +142,10 @@ impl SharedFrame<'_> {
 /// Lateral range that the vehicle covers to the left of its path; `None` where it hardly moves.
 fn covered(seen: &[SharedFrame], places: &[VehiclePosition], body: &Body, ratio: f64) -> Option<[f64; 2]> {
     let moving: Vec<_> = seen.iter().zip(places).filter_map(|(seen, at)| Some((seen, at.foot, at.left()?))).collect();
-    if moving.len() < MIN_PLACES {
+    if moving.len() < 5 {
         return None;
     }
-    let measured = moving.iter().step_by(moving.len().div_ceil(NUM_MEASURED)).filter_map(|(seen, foot, left)| {
+    let measured = moving.iter().step_by(moving.len().div_ceil(50)).filter_map(|(seen, foot, left)| {
         let from_foot = |point: &Point3<f64>| left.dot(&(seen.in_background(point, ratio) - foot));
         body.extent(from_foot)
     });
@@ -177,25 +166,25 @@ struct Body {
 impl Body {
     fn of(model: &Reconstruction, up: Vector3<f64>, min_track: usize, shape: &BodyShape) -> Option<Self> {
         let points = model.solid_points(min_track, shape.max_deviation);
-        if points.len() < MIN_POINTS {
+        // The shape of fewer points is not known.
+        if points.len() < 10 {
             return None;
         }
         let mut heights: Vec<f64> = points.iter().map(|p| up.dot(&p.coords)).collect();
-        let (low, high) = (quantile(&mut heights, 0.01)?, quantile(&mut heights, 0.99)?);
+        let [low, high] = quantile_range(&mut heights, 0.01)?;
         let ground = low - shape.clearance * (high - low);
         (high > low).then_some(Self { points, up, ground, height: high - ground })
     }
 
     /// Below the mean of its points, on the ground.
     fn foot(&self) -> Point3<f64> {
-        let mean = self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / self.points.len() as f64;
+        let mean = centroid(&self.points).coords;
         Point3::from(mean - self.up * (self.up.dot(&mean) - self.ground))
     }
 
     /// From where to where its points reach, but for a twentieth at each end.
     fn extent(&self, of_point: impl Fn(&Point3<f64>) -> f64) -> Option<(f64, f64)> {
-        let mut values: Vec<f64> = self.points.iter().map(of_point).collect();
-        Some((quantile(&mut values, 0.05)?, quantile(&mut values, 0.95)?))
+        quantile_range(&mut self.points.iter().map(of_point).collect::<Vec<_>>(), 0.05).map(Into::into)
     }
 }
 
