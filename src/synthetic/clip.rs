@@ -6,8 +6,6 @@ use std::path::Path;
 use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{ImageError, RgbImage};
 
-/// Quality of the pictures, in percent.
-const QUALITY: u8 = 95;
 /// The mark of motion JPEG.
 const CODING: &[u8; 4] = b"MJPG";
 
@@ -28,7 +26,7 @@ pub fn write_clip(path: &Path, rate: u32, pictures: &[RgbImage]) -> io::Result<(
 
 fn jpeg(picture: &RgbImage) -> Result<Vec<u8>, ImageError> {
     let mut data = Vec::new();
-    JpegEncoder::new_with_quality(&mut data, QUALITY).encode_image(picture)?;
+    JpegEncoder::new_with_quality(&mut data, 95).encode_image(picture)?;
     Ok(data)
 }
 
@@ -47,9 +45,8 @@ fn numbers(numbers: &[u32]) -> Vec<u8> {
 }
 
 fn head((width, height): (u32, u32), rate: u32, count: u32) -> Vec<u8> {
-    /// The file has an index.
-    const HAS_INDEX: u32 = 0x10;
-    let file = numbers(&[1_000_000 / rate, 0, 0, HAS_INDEX, count, 0, 1, 0, width, height, 0, 0, 0, 0]);
+    // The flag says that the file has an index.
+    let file = numbers(&[1_000_000 / rate, 0, 0, 0x10, count, 0, 1, 0, width, height, 0, 0, 0, 0]);
     let stream = [&b"vids"[..], CODING, &numbers(&[0, 0, 0, 1, rate, 0, count, 0, u32::MAX, 0, 0, 0])].concat();
     // Size of itself, width, height, one plane of 24 bits, coding, size of a picture.
     let planes = 24 << 16 | 1;
@@ -60,12 +57,11 @@ fn head((width, height): (u32, u32), rate: u32, count: u32) -> Vec<u8> {
 
 /// Where every picture lies, from the name of the list on.
 fn index(coded: &[Vec<u8>]) -> Vec<u8> {
-    /// Every picture stands alone.
-    const KEY: u32 = 0x10;
     let mut at = 4;
     let entry = |data: &Vec<u8>| {
         let size = data.len() as u32;
-        let entry = [b"00dc".to_vec(), numbers(&[KEY, at, size])].concat();
+        // Every picture is a keyframe.
+        let entry = [b"00dc".to_vec(), numbers(&[0x10, at, size])].concat();
         at += 8 + size + size % 2;
         entry
     };

@@ -71,8 +71,6 @@ pub struct Noise {
 pub struct Options {
     /// Frames of the video.
     pub num_frames: u32,
-    /// Frames per second.
-    pub fps: f64,
     /// The ground.
     pub terrain: Terrain,
     /// The vehicle's way.
@@ -107,7 +105,6 @@ impl Default for Options {
     fn default() -> Self {
         Self {
             num_frames: 60,
-            fps: 10.0,
             terrain: Terrain::Flat,
             route: Route::Straight,
             speed_m_s: 8.0,
@@ -173,7 +170,7 @@ pub fn drive(options: &Options, seed: u64) -> Drive {
         world_from_object.insert(*id, background_from_metric * Sim3::from(*metric_from_vehicle) * vehicle_from_object);
     }
     Drive {
-        frames: ids.iter().map(|id| frame(*id, options.fps)).collect(),
+        frames: ids.iter().copied().map(frame).collect(),
         ground_points: background.points.keys().copied().filter(|id| id.0 <= ground.len() as u64).collect(),
         background,
         object,
@@ -232,7 +229,7 @@ impl Stage<'_> {
 
     /// Place and direction on the map.
     fn route(&self, frame: FrameId) -> ([f64; 2], [f64; 2]) {
-        let s = self.options.speed_m_s * f64::from(frame.0) / self.options.fps;
+        let s = self.options.speed_m_s * f64::from(frame.0) / FPS;
         match self.options.route {
             Route::Straight => ([s, 0.0], [1.0, 0.0]),
             Route::Curve { radius_m } => {
@@ -246,11 +243,8 @@ impl Stage<'_> {
         let ([x, y], [dx, dy]) = self.route(frame);
         let up = self.options.terrain.normal(x, y);
         let left = up.cross(&Vector3::new(dx, dy, 0.0)).normalize();
-        let rotation = Matrix3::from_columns(&[left.cross(&up), left, up]);
-        Rigid3::new(
-            UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rotation)),
-            Vector3::new(x, y, self.options.terrain.height(x, y)),
-        )
+        let rotation = UnitQuaternion::from_basis_unchecked(&[left.cross(&up), left, up]);
+        Rigid3::new(rotation, Vector3::new(x, y, self.options.terrain.height(x, y)))
     }
 
     fn cam_from_metric(&self, frame: FrameId) -> Rigid3 {
@@ -268,7 +262,7 @@ impl Stage<'_> {
 }
 
 /// A camera with a level horizon, z up in the world.
-fn look_at(center: Point3<f64>, target: Point3<f64>) -> Rigid3 {
+pub(super) fn look_at(center: Point3<f64>, target: Point3<f64>) -> Rigid3 {
     let forward = (target - center).normalize();
     let right = forward.cross(&Vector3::z()).normalize();
     let cam_from_world = Matrix3::from_columns(&[right, forward.cross(&right), forward]).transpose();
@@ -284,7 +278,7 @@ fn random_similarity(scale: f64, rng: &mut Rng) -> Sim3 {
 
 /// Ground points, and points that stand over it, metric.
 fn background_points(options: &Options, rng: &mut Rng) -> (Vec<Point3<f64>>, Vec<Point3<f64>>) {
-    let length = options.speed_m_s * f64::from(options.num_frames) / options.fps;
+    let length = options.speed_m_s * f64::from(options.num_frames) / FPS;
     let terrain = options.terrain;
     let mut place = |up: f64| {
         let (x, y) = (rng.random_range(-30.0..length + 30.0), rng.random_range(-25.0..45.0));
@@ -302,13 +296,15 @@ fn background_points(options: &Options, rng: &mut Rng) -> (Vec<Point3<f64>>, Vec
 }
 
 const CAMERA: CameraId = CameraId(1);
+/// Frames per second.
+const FPS: f64 = 10.0;
 
 fn camera() -> Camera {
     Camera::with_focal(960, 540, 900.0)
 }
 
-fn frame(id: FrameId, fps: f64) -> Frame {
-    Frame { id, name: format!("{:06}.jpg", id.0), time_s: f64::from(id.0) / fps }
+fn frame(id: FrameId) -> Frame {
+    Frame { id, name: format!("{:06}.jpg", id.0), time_s: f64::from(id.0) / FPS }
 }
 
 fn empty_model() -> Reconstruction {
@@ -333,7 +329,7 @@ fn add_image(
         point.track.push(TrackElement { image: id, observation_idx: observation_idx as u32 });
     }
     let observations = seen.iter().map(|(id, _, pixel)| Observation { pixel: *pixel, point: Some(*id) }).collect();
-    let name = frame(FrameId(idx as u32), 1.0).name;
+    let name = frame(FrameId(idx as u32)).name;
     model.images.insert(id, Image { name, camera: CAMERA, cam_from_world, observations });
 }
 
@@ -343,13 +339,8 @@ fn see(cam_from_world: &Rigid3, point: Point3<f64>) -> Option<Point2<f64>> {
 
 /// Drops points that fewer than two images see: nothing can be reported of them.
 fn drop_unseen(mut model: Reconstruction) -> Reconstruction {
-    model.points.retain(|_, point| point.track.len() >= 2);
-    let points = &model.points;
-    for image in model.images.values_mut() {
-        for observation in &mut image.observations {
-            observation.point = observation.point.filter(|id| points.contains_key(id));
-        }
-    }
+    let unseen = model.points.iter().filter(|(_, point)| point.track.len() < 2).map(|(id, _)| *id);
+    model.remove_points(&unseen.collect::<Vec<_>>());
     model
 }
 

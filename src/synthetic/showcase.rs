@@ -8,11 +8,12 @@ use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI};
 
 use ::image::{Rgb, RgbImage};
-use nalgebra::{Matrix3, Point2, Point3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Point2, Point3, UnitQuaternion, Vector3};
 use rand::Rng as _;
 
+use super::drive::look_at;
 use crate::camera::Camera;
-use crate::math::{Rigid3, Rng, Sim3, seeded_rng};
+use crate::math::{Rigid3, Rng, Sim3, centroid, seeded_rng};
 use crate::scene::{
     CameraId, Dimensions, Estimate, Frame, FrameId, Ground, GroundPlane, GroundSource, Image, ImageId, Mask, Metric,
     MetricAxes, MetricFrame, MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, ObjectId, ObjectPose,
@@ -112,11 +113,7 @@ fn rotation_to_up() -> UnitQuaternion<f64> {
 /// The camera flies along the street behind the car, climbs, and keeps looking at it.
 fn cam_from_metric(s: f64) -> Rigid3 {
     let center = Point3::new(-26.0 + 18.0 * s, -17.0 - 2.0 * (PI * s).sin(), 8.0 + 7.0 * s);
-    let forward = (Vector3::new(2.0 + 10.0 * s, 3.0 + 6.0 * s, 0.5) - center.coords).normalize();
-    let right = forward.cross(&Vector3::z()).normalize();
-    let rows = Matrix3::from_rows(&[right.transpose(), forward.cross(&right).transpose(), forward.transpose()]);
-    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
-    Rigid3::from_rotation_and_center(rotation, center)
+    look_at(center, Point3::new(2.0 + 10.0 * s, 3.0 + 6.0 * s, 0.5))
 }
 
 /// Where a vehicle stands on the street: x forward, z up, origin on the ground under its middle.
@@ -150,13 +147,10 @@ fn street(rng: &mut Rng) -> Vec<StreetPoint> {
         let (x, y) = (rng.random_range(-28.0..42.0), rng.random_range(-16.0..34.0));
         let (on_x, on_y) = (f64::abs(y) < 4.0, f64::abs(x - 11.0) < 4.0);
         let line = (on_x && f64::abs(y) < 0.1 && !on_y) || (on_y && f64::abs(x - 11.0) < 0.1 && !on_x);
-        let asphalt = on_x || on_y;
-        let rgb = if line {
-            [225, 225, 220]
-        } else if asphalt {
-            [98, 98, 104]
-        } else {
-            [118, 138, 84]
+        let rgb = match (line, on_x || on_y) {
+            (true, _) => [225, 225, 220],
+            (false, true) => [98, 98, 104],
+            (false, false) => [118, 138, 84],
         };
         add(x, y, rng.random_range(-0.02..0.02), rgb, rng.random_range(-22..22), true);
     }
@@ -167,14 +161,11 @@ fn street(rng: &mut Rng) -> Vec<StreetPoint> {
     ] {
         for _ in 0..2200 {
             let (u, z) = (rng.random_range(0.0..2.0 * (dx + dy)), rng.random_range(0.0..height));
-            let (x, y): (f64, f64) = if u < dx {
-                (u, 0.0)
-            } else if u < dx + dy {
-                (dx, u - dx)
-            } else if u < 2.0 * dx + dy {
-                (u - dx - dy, dy)
-            } else {
-                (0.0, u - 2.0 * dx - dy)
+            let (x, y): (f64, f64) = match u {
+                u if u < dx => (u, 0.0),
+                u if u < dx + dy => (dx, u - dx),
+                u if u < 2.0 * dx + dy => (u - dx - dy, dy),
+                _ => (0.0, u - 2.0 * dx - dy),
             };
             let window = (z % 3.0 > 1.1 && z % 3.0 < 2.4) && ((u % 2.6) > 1.2);
             let rgb = if window { [62, 78, 96] } else { rgb };
@@ -240,9 +231,7 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
         add_image(&mut model, &frame(f.0), cam_from_metric(s) * metric_from_vehicle(id, s));
     }
     add_points(&mut model, &result.camera, &body(size_m, id, rng), rng);
-    let middle = Point3::from(
-        model.points.values().map(|p| p.position.coords).sum::<Vector3<f64>>() / model.points.len() as f64,
-    );
+    let middle = centroid(&model.finite_positions());
     model.transform(&vehicle_from_object.inverse());
     let mut poses = Vec::new();
     for f in visible.iter().filter(|f| registered(f)) {
