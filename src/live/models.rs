@@ -12,7 +12,7 @@ use super::window::{Limits, evenly, register, sub_table};
 use crate::features::TrackTable;
 use crate::mapper::{self, Intrinsics};
 use crate::pipeline::{Options, PipelineError, object_pose_priors};
-use crate::scene::{Frame, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase, Unit};
+use crate::scene::{Frame, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 use crate::trajectory::{self, Candidate, Evidence, ModelOrigin, ObjectDescription, Outlines, verdicts};
 
 /// Views of a model; other frames are registered by resection. Time grows faster than their number: in five rendered
@@ -158,7 +158,7 @@ fn place(
     }
     let mut whole = placed.object;
     register(&mut whole, table, registered, &map.camera, &LIMITS);
-    let mut trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames, Unit::Background);
+    let mut trajectory = trajectory::assemble(description, &map.model, &whole, found.scale, frames);
     let subject = trajectory::Subject {
         trajectory: &trajectory,
         object: &whole,

@@ -4,10 +4,8 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point3, Vector3};
 
-use crate::math::{Rigid3, STD_PER_MAD, Sim3, median};
-use crate::scene::{
-    Frame, FrameId, Image, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, ScaleEstimate, Unit,
-};
+use crate::math::{Rigid3, STD_PER_MAD, Sim3, centroid, median};
+use crate::scene::{Frame, FrameId, Image, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, ScaleEstimate};
 
 /// Description of an object besides its geometry.
 #[derive(Clone, Debug, PartialEq)]
@@ -25,7 +23,7 @@ pub struct ObjectDescription {
 /// Every frame of `frames` whose image is registered in both models gets a pose, also one without a ground plane and
 /// one whose pose looks like an outlier; frames that are not in both models are absent. The pose is eq.
 /// object_to_background_coordinates as a similarity: x_world = c(b) + r R(b)ᵀ R(o) (x_object − c(o)). `position` is
-/// [`object_center`] placed by it. Speeds are set where `unit` is metric, by [`set_speeds`].
+/// [`object_center`] placed by it.
 /// What its ground rests on is for the caller to say.
 pub fn assemble(
     description: ObjectDescription,
@@ -33,16 +31,11 @@ pub fn assemble(
     object: &Reconstruction,
     scale: ScaleEstimate,
     frames: &[Frame],
-    unit: Unit,
 ) -> ObjectTrajectory {
     let mut poses = poses(background, object, scale.ratio, frames);
     poses.sort_by_key(|pose: &ObjectPose| -> FrameId { pose.frame });
     let ObjectDescription { id, class, confidence } = description;
-    let mut trajectory = ObjectTrajectory { poses, ..ObjectTrajectory::new(id, class, confidence, scale) };
-    if unit == Unit::Metre {
-        set_speeds(&mut trajectory);
-    }
-    trajectory
+    ObjectTrajectory { poses, ..ObjectTrajectory::new(id, class, confidence, scale) }
 }
 
 /// The object's pose in every frame whose image is registered in both models, in the order of `frames`, at the scale
@@ -88,8 +81,7 @@ fn place(cam_from_world: &Rigid3, cam_from_object: &Rigid3, ratio: f64) -> Sim3 
 /// the median along every axis, so that a handful of stray points does not move it. The origin for a model without
 /// points.
 pub fn object_center(object: &Reconstruction) -> Point3<f64> {
-    let finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
-    let points: Vec<Point3<f64>> = object.points.values().map(|point| point.position).filter(finite).collect();
+    let points = object.finite_positions();
     let along = |axis: usize, from: f64| points.iter().map(move |p| p[axis] - from);
     let mut center = Vector3::zeros();
     let mut spread = Vector3::zeros();
@@ -97,31 +89,20 @@ pub fn object_center(object: &Reconstruction) -> Point3<f64> {
         center[axis] = median(along(axis, 0.0).collect()).unwrap_or(0.0);
         spread[axis] = median(along(axis, center[axis]).map(f64::abs).collect()).unwrap_or(0.0);
     }
-    let inliers: Vec<_> = points
+    let inliers: Vec<Point3<f64>> = points
         .iter()
+        .copied()
         .filter(|p| (0..3).all(|axis| (p[axis] - center[axis]).abs() <= 3.0 * STD_PER_MAD * spread[axis]))
         .collect();
-    if inliers.is_empty() {
-        return Point3::from(center);
-    }
-    Point3::from(inliers.iter().map(|p| p.coords).sum::<Vector3<f64>>() / inliers.len() as f64)
+    if inliers.is_empty() { Point3::from(center) } else { centroid(&inliers) }
 }
 
 /// Half of the time over which a speed is taken, seconds: long enough for a vehicle in traffic to move further than the
 /// noise of its position, short enough for it not to change its mind.
-const HALF_WINDOW_S: f64 = 0.5;
+pub(super) const HALF_WINDOW_S: f64 = 0.5;
 
-/// Sets the speed of every pose from the straight line, by least squares, through the positions within half a second of
-/// it (and at least its neighbours); none for a trajectory of one pose. Only call this when the unit is the metre.
-pub fn set_speeds(trajectory: &mut ObjectTrajectory) {
-    let speeds: Vec<_> = (0..trajectory.poses.len()).map(|k| velocity(&trajectory.poses, k)).collect();
-    for (pose, velocity) in trajectory.poses.iter_mut().zip(speeds) {
-        pose.speed = velocity.map(|v| v.norm());
-    }
-}
-
-/// Velocity at one pose, units of the world per second; `None` when its neighbours have the same time or there are
-/// none.
+/// Velocity at one pose, units of the world per second: of the straight line, by least squares, through the positions
+/// within half a second of it, and at least its neighbors. `None` when these have the same time or there are none.
 pub(super) fn velocity(poses: &[ObjectPose], k: usize) -> Option<Vector3<f64>> {
     let now = poses[k].time_s;
     let near = |i: &usize| i.abs_diff(k) <= 1 || (poses[*i].time_s - now).abs() <= HALF_WINDOW_S;
@@ -148,15 +129,15 @@ mod tests {
         ScaleEstimate::new(ratio, ScaleMethod::ConstantDistance)
     }
 
-    fn assembled(world: &Drive, unit: Unit) -> ObjectTrajectory {
+    fn assembled(world: &Drive) -> ObjectTrajectory {
         let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
-        assemble(description, &world.background, &world.object, known(world.ratio), &world.frames, unit)
+        assemble(description, &world.background, &world.object, known(world.ratio), &world.frames)
     }
 
     #[test]
     fn objects_are_placed_where_they_are() {
         let world = drive(&Options::default(), 1);
-        let found = assembled(&world, Unit::Background);
+        let found = assembled(&world);
         assert_eq!(found.poses.len(), world.frames.len());
         for pose in &found.poses {
             let truth = world.world_from_object[&pose.frame];
@@ -173,18 +154,19 @@ mod tests {
         let mut world = drive(&Options { num_frames: 10, ..Options::default() }, 1);
         world.background.images.pop_first();
         world.object.images.pop_last();
-        let found = assembled(&world, Unit::Background);
+        let found = assembled(&world);
         assert_eq!(found.poses.iter().map(|p| p.frame.0).collect::<Vec<_>>(), (1..9).collect::<Vec<_>>());
     }
 
     #[test]
-    fn metric_trajectories_have_speeds() {
+    fn velocities_are_those_of_the_vehicle() {
         let curve = Route::Curve { radius_m: 40.0 };
         // In the curve the centre of the reconstructed points, not being on the axis, drives a circle of its own.
         for (route, tolerance) in [(Route::Straight, 1e-9), (curve, 0.2)] {
             let options = Options { background_unit_m: 1.0, route, ..Options::default() };
-            for pose in &assembled(&drive(&options, 7), Unit::Metre).poses {
-                assert!((pose.speed.unwrap() - options.speed_m_s).abs() < tolerance, "{:?}", pose.speed);
+            let poses = assembled(&drive(&options, 7)).poses;
+            for speed in (0..poses.len()).map(|k| velocity(&poses, k).unwrap().norm()) {
+                assert!((speed - options.speed_m_s).abs() < tolerance, "{speed}");
             }
         }
     }

@@ -23,7 +23,6 @@
 use super::least_squares::LEAST_STD;
 use super::{Estimate, LeastSquares, Options, ScaleError, View, Views, least_squares};
 use crate::math::at_least;
-use crate::scene::FrameId;
 
 /// Most view pairs that are ranked: all of 600 frames, a quarter of a second.
 const MAX_PAIRS: usize = 200_000;
@@ -35,13 +34,9 @@ const MAX_RATIOS: usize = 50_000_000;
 pub struct ConstantDistance {
     /// r > 0.
     pub ratio: f64,
-    /// The winning pair.
-    pub pair: (FrameId, FrameId),
     /// Mean over the points of (a_ji − a_ji′)², in squared units of the object: what the pair's uncertainty follows
     /// from.
     pub mean_denominator_sq: f64,
-    /// Better ranked pairs that were skipped because their r is not positive.
-    pub num_passed_over: usize,
 }
 
 /// The scale ratio of the pair of views with the lowest overall rank.
@@ -63,16 +58,9 @@ fn constant_distance_within(
     let per_pair = (max_ratios / pairs.len().max(1)).max(100);
     let stride = views.points.len().div_ceil(per_pair);
     let spreads: Vec<f64> = pairs.iter().map(|&(i, k)| spread(views, i, k, stride)).collect();
-    let solved = combined_order(&spreads)
-        .into_iter()
-        .map(|idx| (idx, solve(views, pairs[idx])))
-        .enumerate()
-        .find(|(_, (_, (ratio, _)))| ratio.is_finite() && *ratio > 0.0);
-    let Some((num_passed_over, (idx, (ratio, mean_denominator_sq)))) = solved else {
-        return Err(ScaleError::NoPositivePair { num_pairs: pairs.len() });
-    };
-    let (first, second) = (&views.views[pairs[idx].0], &views.views[pairs[idx].1]);
-    Ok(ConstantDistance { ratio, pair: (first.frame, second.frame), mean_denominator_sq, num_passed_over })
+    let mut solved = combined_order(&spreads).into_iter().map(|idx| solve(views, pairs[idx]));
+    let found = solved.find(|found| found.ratio.is_finite() && found.ratio > 0.0);
+    found.ok_or(ScaleError::NoPositivePair { num_pairs: pairs.len() })
 }
 
 impl ConstantDistance {
@@ -177,14 +165,15 @@ fn combined_order(spreads: &[f64]) -> Vec<usize> {
 }
 
 /// Least squares over all points of the pair: r = N Σ D_j / Σ D_j², and the mean of D_j².
-fn solve(views: &Views, (i, k): (usize, usize)) -> (f64, f64) {
+fn solve(views: &Views, (i, k): (usize, usize)) -> ConstantDistance {
     let (first, second) = (&views.views[i], &views.views[k]);
     let (mut sum, mut sum_sq) = (0.0, 0.0);
     for point in &views.points {
         let denominator = first.offset(point) - second.offset(point);
         (sum, sum_sq) = (sum + denominator, sum_sq + denominator * denominator);
     }
-    (numerator(first, second) * sum / sum_sq, sum_sq / views.points.len() as f64)
+    let ratio = numerator(first, second) * sum / sum_sq;
+    ConstantDistance { ratio, mean_denominator_sq: sum_sq / views.points.len() as f64 }
 }
 
 #[cfg(test)]

@@ -20,7 +20,7 @@ pub use self::silhouette::Silhouette;
 pub(super) use self::silhouette::convex_hull;
 
 use crate::checks::{Checked, OptionError, within};
-use crate::math::{median, quantile};
+use crate::math::{centroid, median, quantile, quantile_range};
 use crate::scene::{FrameId, Image, Reconstruction};
 
 /// Dimensions of a vehicle's lower body; lengths are shares of the height over which its points spread.
@@ -113,12 +113,6 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
 /// moves the outermost 0.05 to 0.21 out on rendered cars (decision 37).
 const SIDE_DEPTH: f64 = 0.2;
 
-/// Fewest points of a side away from its corners that say where it is.
-const MIN_SIDE_POINTS: usize = 10;
-
-/// Share of the lowest points that lie within an outline which shows them.
-const LEAST_INSIDE: f64 = 0.9;
-
 /// Where the ground is, in the frame of a reconstruction whose z axis points up.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Contact {
@@ -157,11 +151,11 @@ pub fn contact(
 ) -> Option<Contact> {
     let points = solid_points(object, options);
     let mut heights: Vec<f64> = points.iter().map(|p| p.z).collect();
-    let (low, high) = (quantile(&mut heights, 0.01)?, quantile(&mut heights, 0.99)?);
+    let [low, high] = quantile_range(&mut heights, 0.01)?;
     let extent = high - low;
     let limit = low + options.lowest_part * extent;
     let feet: Vec<Point3<f64>> = points.iter().filter(|p| p.z < limit).copied().collect();
-    let center = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len() as f64);
+    let center = centroid(&points);
     let view = LowerEdge { object, feet: &feet, middle: Point3::new(center.x, center.y, low), extent, options };
     let ahead = forward.and_then(|forward| Vector3::new(forward.x, forward.y, 0.0).try_normalize(1e-3));
     let lowest = Contact { z: low - options.lowest[0] * extent, std: options.lowest[1] * extent, num_frames: 0 };
@@ -169,7 +163,14 @@ pub fn contact(
     let seen: Vec<(&Image, &Silhouette)> =
         object.images.iter().filter_map(|(id, image)| Some((image, silhouettes.get(&id.frame())?))).collect();
     let seen = view.not_hidden(seen);
-    Some(view.of_sides(&seen, &ahead).or_else(|| view.of_ends(&seen, &ahead, lowest.std)).unwrap_or(lowest))
+    let across = Vector3::new(-ahead.y, ahead.x, 0.0);
+    let sine = |sight: &Vector2<f64>| sight.perp(&ahead.xy()).abs();
+    // The two tires of the side that is seen, else those of the front or the rear.
+    let shows_side = |sight: &Vector2<f64>| sine(sight) >= options.least_side_view;
+    let shows_end = |sight: &Vector2<f64>| sine(sight) <= options.most_end_view;
+    let of_side = view.below_tyres(&seen, shows_side, [&ahead, &across], options.side);
+    let of_end = || view.below_tyres(&seen, shows_end, [&across, &ahead], options.overhang);
+    Some(of_side.or_else(|| of_end().filter(|contact| contact.std <= lowest.std)).unwrap_or(lowest))
 }
 
 /// Lower edge of an object in every frame.
@@ -196,26 +197,10 @@ impl LowerEdge<'_> {
             let pixel = |foot: &&Point3<f64>| camera.pixel_from_cam(image.cam_from_world * **foot);
             let is_inside = |foot: &&Point3<f64>| pixel(foot).is_some_and(|p| outline.contains(p, Self::MASK_PX));
             let num_inside = self.feet.iter().filter(is_inside).count();
-            num_inside as f64 >= LEAST_INSIDE * self.feet.len() as f64
+            num_inside as f64 >= 0.9 * self.feet.len() as f64
         };
         let clear: Vec<_> = seen.iter().filter(shows_feet).copied().collect();
         if clear.len() >= self.options.min_frames { clear } else { seen }
-    }
-
-    /// The ground below the two tyres of the side that is seen; `None` where too few frames show a side.
-    fn of_sides(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>) -> Option<Contact> {
-        let shows = |sight: &Vector2<f64>| sight.perp(&ahead.xy()).abs() >= self.options.least_side_view;
-        let across = Vector3::new(-ahead.y, ahead.x, 0.0);
-        self.below_tyres(seen, shows, [ahead, &across], self.options.side)
-    }
-
-    /// The ground below the two tyres of the front or the rear that is seen. `None` where too few frames look along the
-    /// vehicle, or where that is less sure than `limit`.
-    fn of_ends(&self, seen: &[(&Image, &Silhouette)], ahead: &Vector3<f64>, limit: f64) -> Option<Contact> {
-        let shows = |sight: &Vector2<f64>| sight.perp(&ahead.xy()).abs() <= self.options.most_end_view;
-        let across = Vector3::new(-ahead.y, ahead.x, 0.0);
-        let tyres = self.below_tyres(seen, shows, [&across, ahead], self.options.overhang);
-        tyres.filter(|contact| contact.std <= limit)
     }
 
     /// The ground below two tyres on a line along the first axis, which stand back along the second from the points of
@@ -259,7 +244,7 @@ impl LowerEdge<'_> {
         let all: Vec<Point3<f64>> = self.feet.iter().filter(|foot| depth(foot, 0) <= SIDE_DEPTH).copied().collect();
         let is_inside = |foot: &&Point3<f64>| [1, 2].iter().all(|k| depth(foot, *k) > SIDE_DEPTH);
         let middle: Vec<Point3<f64>> = all.iter().filter(is_inside).copied().collect();
-        if middle.len() >= MIN_SIDE_POINTS { middle } else { all }
+        if middle.len() >= 10 { middle } else { all }
     }
 
     /// Unit direction from the camera to the vehicle, seen from above.

@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use nalgebra::Vector3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
@@ -11,6 +10,7 @@ use super::estimators::{estimate, needs_climb};
 use super::views::mean_normal;
 use super::{Estimate, Joint, JointOptions, LeastSquares, LeastSquaresOptions, ScaleError, Views, least_squares};
 use crate::checks::{Checked, under, within};
+use crate::math::centroid;
 use crate::math::rounding::percent;
 use crate::scene::{
     Ratios, Reference, References, ScaleEstimate, ScaleMethod, ScaleShares, ScaleSupport, StationaryVehicles,
@@ -62,13 +62,6 @@ impl Options {
     }
 }
 
-/// Relative excitation below which nothing but rounding tells the frames apart: single precision of model files.
-const ROUNDING: f64 = 1e-6;
-
-/// Relative change of the camera's height above which a ratio is open for another reason: with planes good to 1 % of
-/// that height, it determines the ratio to 10 %.
-const NOTABLE_CLIMB: f64 = 0.1;
-
 /// Runs every estimator that takes a reconstruction as it is and gives the answer of `wanted` with a verdict.
 ///
 /// [`ScaleMethod::Joint`] is not among them, since it makes a reconstruction of its own ([`joint`](super::joint()));
@@ -92,66 +85,59 @@ pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> 
     let Some((method, &Estimate { ratio, std, .. })) = found else {
         return Err(failure.cloned().unwrap_or(ScaleError::NoAnswer(wanted)));
     };
-    let mut reasons: Vec<String> = failure.map(|failure| stands_in(method, wanted, failure)).into_iter().collect();
+    let stands_in =
+        |failure: &ScaleError| format!("{} instead of {}, which failed: {failure}", method.name(), wanted.name());
+    let mut reasons: Vec<String> = failure.map(stands_in).into_iter().collect();
     // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
     if [method, wanted].iter().any(|method| needs_climb(*method)) {
         reasons.extend(degeneracy(&least_squares(views, &options.least_squares), options.max_relative_std));
     } else {
         reasons.extend(std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std)));
     }
+    let (reason, alternatives) = (joined(&reasons), found_by(&answers));
     Ok(ScaleEstimate {
-        ratio,
         std,
-        method,
-        degenerate: !reasons.is_empty(),
-        reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
-        alternatives: found_by(&answers),
-        as_reconstructed: None,
+        degenerate: reason.is_some(),
+        reason,
         // What varies from frame to frame is all that these methods look at.
         shares: std.map(|std| ScaleShares { frames: std / ratio, ..ScaleShares::default() }),
-        support: Some(support(views, ratio, method, &found_by(&answers))),
-        camera_path: None,
+        support: Some(support(views, ratio, method, &alternatives)),
+        alternatives,
         references: references(views, options),
+        ..ScaleEstimate::new(ratio, method)
     })
 }
 
-/// Sensitivity of the ratio to the focal length, relative. One that was 10 % too long put it 4.1 to 17.9 % off the
-/// reference ratios of the same reconstructions, on five rendered sequences (root mean square 9.3 %).
-const FOCAL_SENSITIVITY: f64 = 1.0;
-/// By how many times what is accepted of all else the focal length may make a ratio unsure: it does so to all vehicles
-/// alike, and says nothing of their motion.
-const FOCAL_ALLOWANCE: f64 = 3.0;
+fn joined(reasons: &[String]) -> Option<String> {
+    (!reasons.is_empty()).then(|| reasons.join("; "))
+}
 
 /// The answer of an adjustment with the ground, with a verdict, and what the others say of the adjusted reconstruction.
 ///
 /// * `views` – of [`Joint::object`].
-/// * `focal_std` – share of the focal length, where it is not known exactly.
+/// * `focal_std` – share of the focal length, where it is not known exactly. One that was 10 % too long put the ratio 4.1
+///   to 17.9 % off the reference ratios of the same reconstructions, on five rendered sequences (root mean square 9.3 %).
 pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, focal_std: Option<f64>) -> ScaleEstimate {
     let mut alternatives = ratios_of(views, options);
     alternatives.insert(ScaleMethod::Joint, found.ratio);
     let all_frames = least_squares(views, &options.least_squares).ok();
     let shares = ScaleShares {
-        focal: FOCAL_SENSITIVITY * focal_std.unwrap_or(0.0),
+        focal: focal_std.unwrap_or(0.0),
         disagreement: disagreement(found, all_frames.filter(|_| !views.camera_hovers).as_ref()),
         ..found.shares
     };
-    let relative_std = shares.total();
     let reason = why_unsure(&shares, options.max_relative_std);
     ScaleEstimate {
-        ratio: found.ratio,
-        std: Some(relative_std * found.ratio),
-        method: ScaleMethod::Joint,
+        std: Some(shares.total() * found.ratio),
         degenerate: reason.is_some(),
         reason,
-        as_reconstructed: None,
         shares: Some(shares),
         support: Some(ScaleSupport {
             frames_with_outline: found.contact.num_frames,
             ..support(views, found.ratio, ScaleMethod::Joint, &alternatives)
         }),
-        camera_path: None,
         alternatives,
-        references: References::new(),
+        ..ScaleEstimate::new(found.ratio, ScaleMethod::Joint)
     }
 }
 
@@ -160,18 +146,17 @@ fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
     if shares.given_focal() <= accepted {
         return focal_leaves_open(shares, accepted);
     }
-    if shares.disagreement > FRAC_1_SQRT_2 * shares.given_focal() {
-        return Some(format!(
-            "{}: adjustment with the ground and least squares over all frames contradict one another; give ground \
-             masks or a shorter clip",
-            beyond(shares.given_focal(), accepted)
-        ));
-    }
-    Some(format!(
-        "{}: camera height above ground hardly changes, and outlines do not help; give a longer clip or one with \
-         changing height",
-        beyond(shares.given_focal(), accepted)
-    ))
+    let why = match shares.disagreement > FRAC_1_SQRT_2 * shares.given_focal() {
+        true => {
+            "adjustment with the ground and least squares over all frames contradict one another; give ground masks or \
+             a shorter clip"
+        }
+        false => {
+            "camera height above ground hardly changes, and outlines do not help; give a longer clip or one with \
+             changing height"
+        }
+    };
+    Some(format!("{}: {why}", beyond(shares.given_focal(), accepted)))
 }
 
 /// "±18 % (limit ±10 %)".
@@ -181,15 +166,12 @@ fn beyond(std: f64, limit: f64) -> String {
 
 /// Reason, in words, if the focal length leaves a ratio undetermined.
 fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
-    let (total, accepted) = (shares.total(), FOCAL_ALLOWANCE * accepted);
+    // The focal length may make a ratio three times as unsure as all else: it does so to all vehicles alike, and says
+    // nothing of their motion.
+    let (total, accepted) = (shares.total(), 3.0 * accepted);
     let is_open = !(total <= accepted) && shares.focal > shares.given_focal();
-    is_open.then(|| {
-        format!(
-            "{}: focal length known to ±{} only; give --intrinsics",
-            beyond(total, accepted),
-            percent(shares.focal / FOCAL_SENSITIVITY)
-        )
-    })
+    let known = || format!("focal length known to ±{} only; give --intrinsics", percent(shares.focal));
+    is_open.then(|| format!("{}: {}", beyond(total, accepted), known()))
 }
 
 /// The same estimate under a focal length that is not known exactly.
@@ -197,12 +179,13 @@ fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
 /// * `accepted` – the largest deviation that is, as a share of the ratio.
 pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted: f64) -> ScaleEstimate {
     let (Some(focal_std), Some(shares)) = (focal_std, scale.shares) else { return scale };
-    let shares = ScaleShares { focal: FOCAL_SENSITIVITY * focal_std, ..shares };
+    let shares = ScaleShares { focal: focal_std, ..shares };
     let reasons: Vec<String> = scale.reason.into_iter().chain(focal_leaves_open(&shares, accepted)).collect();
+    let reason = joined(&reasons);
     ScaleEstimate {
         std: Some(shares.total() * scale.ratio),
-        degenerate: scale.degenerate || !reasons.is_empty(),
-        reason: (!reasons.is_empty()).then(|| reasons.join("; ")),
+        degenerate: scale.degenerate || reason.is_some(),
+        reason,
         shares: Some(shares),
         ..scale
     }
@@ -279,18 +262,13 @@ fn support(views: &Views, ratio: f64, method: ScaleMethod, ratios: &Ratios) -> S
 /// mean height.
 fn ground_residual(views: &Views, ratio: f64) -> f64 {
     let count = views.views.len().max(1) as f64;
-    let center =
-        (views.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / views.points.len().max(1) as f64).into();
+    let center = centroid(&views.points);
     let distances = || views.views.iter().map(|view| view.camera_height + ratio * view.offset(&center));
     let mean = distances().sum::<f64>() / count;
     let variance = distances().map(|distance| (distance - mean).powi(2)).sum::<f64>() / count;
     let height = views.views.iter().map(|view| view.camera_height.abs()).sum::<f64>() / count;
     let residual = variance.sqrt() / height;
     if residual.is_finite() { residual } else { 0.0 }
-}
-
-fn stands_in(method: ScaleMethod, wanted: ScaleMethod, failure: &ScaleError) -> String {
-    format!("{} instead of {}, which failed: {failure}", method.name(), wanted.name())
 }
 
 /// Why the motion does not determine r, in words and numbers; `None` if it does.
@@ -304,7 +282,8 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
         return Some("frames cannot be checked against one another: too few agree on the ground".to_owned());
     }
     let motion = format!("camera height above the vehicle varies by {} only", percent(relative));
-    if relative <= ROUNDING {
+    // Nothing but rounding tells the frames apart: single precision of model files.
+    if relative <= 1e-6 {
         return Some("camera and vehicle move parallel to the ground: the scale is undetermined".to_owned());
     }
     let relative_std = fit.std / fit.ratio.abs();
@@ -317,8 +296,9 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
     if fit.ratio <= 0.0 {
         return Some(format!("no positive scale: {motion}, or the ground planes are wrong"));
     }
-    // A large change of height does not help where planes are worse than it.
-    let why = if relative > NOTABLE_CLIMB { "the ground planes are too noisy".to_owned() } else { motion };
+    // A large change of height does not help where planes are worse than it: with planes good to 1 % of the height, a
+    // tenth of it determines the ratio to 10 %.
+    let why = if relative > 0.1 { "the ground planes are too noisy".to_owned() } else { motion };
     Some(format!("{}: {why}", beyond(relative_std, max_relative_std)))
 }
 

@@ -14,17 +14,11 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector2, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 
 use crate::camera::Camera;
-use crate::math::{Rigid3, median};
+use crate::math::{Rigid3, any_across, median};
 use crate::scene::{FrameId, GroundPlane, Reconstruction, Rect};
-
-/// Distance to either side over which the direction of the path is taken, lengths of the vehicle: positions are wrong
-/// by a tenth of one.
-const STEP: f64 = 1.0;
-/// Depth over height of a vehicle: from 1.2 of a car from the side to 3 of one from behind.
-const DEPTH_OVER_HEIGHT: f64 = 2.0;
 
 /// Poses of the cameras in the frame of an object that stands on the ground: origin below its middle, x forward, y to
 /// the left, z up, in units of the background.
@@ -58,17 +52,15 @@ pub fn ground_constrained_poses(
             Some((line, position))
         })
         .unzip();
-    let Some(length) = median(rough.iter().map(|position| position.length).collect()) else { return BTreeMap::new() };
-    let step = STEP * length;
+    // The direction of the path is taken over a length of the vehicle to either side: positions are wrong by a tenth of
+    // one.
+    let Some(step) = median(rough.iter().map(|position| position.length).collect()) else { return BTreeMap::new() };
     let positions: Vec<ObjectPosition> = (0..lines.len())
         .map(|k| lines[k].position_on(&plane_near(&lines, &rough, k, step)).unwrap_or(rough[k]))
         .collect();
     let forward = directions(&positions, step);
-    positions
-        .iter()
-        .zip(forward)
-        .map(|(position, forward)| (position.frame, position.cam_from_object(&forward)))
-        .collect()
+    let poses = positions.iter().zip(forward).map(|(position, forward)| position.world_from_object(&forward));
+    lines.iter().zip(poses).map(|(line, pose)| (line.frame, line.cam_from_world * pose)).collect()
 }
 
 /// The ray, in camera coordinates, to the point of the ground below the middle of an object.
@@ -82,7 +74,8 @@ fn ray_to_ground(bounds: &Rect, camera: &Camera, up_in_cam: &Vector3<f64>) -> Ve
     let (cos, Some(down)) = (across.norm(), across.try_normalize(1e-9)) else { return middle };
     let half = 0.5 * Vector2::new(bounds.width(), bounds.height());
     let edge_px = down.xy().abs().dot(&half);
-    let share = cos / (cos + DEPTH_OVER_HEIGHT * sin.max(0.0));
+    // Depth over height: from 1.2 of a car from the side to 3 of one from behind.
+    let share = cos / (cos + 2.0 * sin.max(0.0));
     middle + down * (share * edge_px / camera.mean_focal())
 }
 
@@ -106,13 +99,7 @@ impl LineOfSight {
         let depth = (self.cam_from_world * ground_point).z;
         let length = self.angle * depth;
         let is_usable = reach > 0.0 && depth > 0.0 && length > 0.0 && (reach + length).is_finite();
-        is_usable.then_some(ObjectPosition {
-            frame: self.frame,
-            cam_from_world: self.cam_from_world,
-            ground_point,
-            up: plane.normal,
-            length,
-        })
+        is_usable.then_some(ObjectPosition { ground_point, up: plane.normal, length })
     }
 }
 
@@ -130,8 +117,6 @@ fn plane_near(lines: &[LineOfSight], positions: &[ObjectPosition], k: usize, ste
 /// Where the object is in a frame.
 #[derive(Clone, Copy)]
 struct ObjectPosition {
-    frame: FrameId,
-    cam_from_world: Rigid3,
     ground_point: Point3<f64>,
     up: Vector3<f64>,
     /// Apparent length, in units of the background.
@@ -139,11 +124,10 @@ struct ObjectPosition {
 }
 
 impl ObjectPosition {
-    fn cam_from_object(&self, forward: &Vector3<f64>) -> Rigid3 {
+    fn world_from_object(&self, forward: &Vector3<f64>) -> Rigid3 {
         let left = self.up.cross(forward).normalize();
-        let axes = Matrix3::from_columns(&[left.cross(&self.up), left, self.up]);
-        let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(axes));
-        self.cam_from_world * Rigid3::new(rotation, self.ground_point.coords)
+        let rotation = UnitQuaternion::from_basis_unchecked(&[left.cross(&self.up), left, self.up]);
+        Rigid3::new(rotation, self.ground_point.coords)
     }
 }
 
@@ -184,11 +168,6 @@ fn neighbors(positions: &[ObjectPosition], k: usize, step: f64) -> [usize; 2] {
     let is_away = |other: &usize| (positions[*other].ground_point - positions[k].ground_point).norm() >= step;
     let before = (0..k).rev().find(is_away).unwrap_or(0);
     [before, (k + 1..positions.len()).find(is_away).unwrap_or(positions.len() - 1)]
-}
-
-fn any_across(normal: &Vector3<f64>) -> Vector3<f64> {
-    let axis = if normal.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
-    normal.cross(&axis).normalize()
 }
 
 #[cfg(test)]

@@ -35,7 +35,7 @@ pub fn headings(trajectory: &ObjectTrajectory) -> Vec<Unit<Vector3<f64>>> {
 mod tests {
     use super::*;
 
-    use crate::scene::{ObjectId, ScaleEstimate, ScaleMethod, Unit as LengthUnit};
+    use crate::scene::{ObjectId, ScaleEstimate, ScaleMethod};
     use crate::synthetic::drive::{Options, Route, drive};
     use crate::trajectory::{ObjectDescription, assemble};
 
@@ -43,7 +43,7 @@ mod tests {
         let world = drive(options, 2);
         let scale = ScaleEstimate::new(world.ratio, ScaleMethod::Intersection);
         let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
-        assemble(description, &world.background, &world.object, scale, &world.frames, LengthUnit::Background)
+        assemble(description, &world.background, &world.object, scale, &world.frames)
     }
 
     #[test]

@@ -21,10 +21,6 @@ use super::{ScaleError, View, Views};
 use crate::math::{STD_PER_MAD, at_least, median};
 use crate::scene::FrameId;
 
-/// Relative standard deviation that a ratio by contact of the lowest points does not undercut in a verdict: they lie
-/// somewhere between tire and sill.
-const LEAST_STD: f64 = 0.15;
-
 /// The answer of the baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Intersection {
@@ -52,7 +48,8 @@ pub fn intersection(views: &Views) -> Result<Intersection, ScaleError> {
 pub(super) fn std_in_verdict(ratio: f64, views: &Views) -> Option<f64> {
     let found = intersection(views).ok()?;
     let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
-    Some(at_least(LEAST_STD, STD_PER_MAD * median(off)?))
+    // The lowest points lie somewhere between tire and sill.
+    Some(at_least(0.15, STD_PER_MAD * median(off)?))
 }
 
 /// The ratio that sets the object down on the plane of one frame; `None` where no ray meets it.

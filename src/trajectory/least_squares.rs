@@ -33,19 +33,14 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Estimate, Options, ScaleError, Views};
-use crate::math::{STD_PER_MAD, at_least, median};
+use crate::math::{STD_PER_MAD, at_least, centroid, median};
 
 /// Relative standard deviation that a ratio from the camera's climb does not undercut in a verdict: errors of planes
 /// and tracks that are common to all frames.
 pub(super) const LEAST_STD: f64 = 0.05;
 
-/// Distance at which a frame loses all weight (Tukey's biweight), robust standard deviations. 4.685 would keep 95 % of
-/// the efficiency on Gaussian noise, and some planes that are wrong by half a metre.
-const TUKEY_SCALE: f64 = 3.0;
 /// Frames before and after one with whose median it is compared: slow drift is common to them, a wrong plane is not.
 const NEIGHBORS: usize = 5;
-/// Most rounds of reweighting; it stops earlier when r no longer changes.
-const MAX_ROUNDS: usize = 50;
 
 /// Noise of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -93,13 +88,16 @@ pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<Lea
     let mut weights = vec![1.0; series.heights.len()];
     let mut fit = series.fit(&weights, 0.0);
     let next = |weights: &[f64]| if options.drift { series.likeliest_fit(weights) } else { series.fit(weights, 0.0) };
-    for _ in 0..MAX_ROUNDS {
+    // It stops earlier when r no longer changes.
+    for _ in 0..50 {
         let steps = series.steps(fit.ratio);
         let sigma = STD_PER_MAD * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
         if sigma <= f64::EPSILON * series.size() || !fit.ratio.is_finite() {
             break;
         }
-        let weight = |e: &f64| (1.0 - (e / (TUKEY_SCALE * sigma)).powi(2)).max(0.0).powi(2);
+        // Tukey's biweight. 4.685 would keep 95 % of the efficiency on Gaussian noise, and some planes that are wrong
+        // by half a meter.
+        let weight = |e: &f64| (1.0 - (e / (3.0 * sigma)).powi(2)).max(0.0).powi(2);
         weights = steps.iter().map(weight).collect();
         let last = std::mem::replace(&mut fit, next(&weights)).ratio;
         if (fit.ratio - last).abs() <= 1e-12 * fit.ratio.abs() {
@@ -153,9 +151,8 @@ impl Fit {
 
 impl Series {
     fn new(views: &Views) -> Self {
-        let count = views.points.len() as f64;
         // a_ij is linear in the point: the mean over the points is that of the mean point.
-        let center = (views.points.iter().map(|p| p.coords).sum::<nalgebra::Vector3<f64>>() / count).into();
+        let center = centroid(&views.points);
         Self {
             frames: views.views.iter().map(|v| f64::from(v.frame.0)).collect(),
             heights: views.views.iter().map(|v| v.camera_height).collect(),

@@ -54,7 +54,7 @@ mod stationary;
 mod verdict;
 mod views;
 
-pub use assemble::{ObjectDescription, assemble, object_center, set_speeds};
+pub use assemble::{ObjectDescription, assemble, object_center};
 pub use body::Body;
 pub use constant_distance::{ConstantDistance, constant_distance};
 pub use contact::{Contact, ContactOptions, Silhouette, contact};

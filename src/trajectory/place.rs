@@ -12,7 +12,7 @@ use nalgebra::Matrix3;
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::pose_error;
 use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
-use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
+use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod};
 
 /// Where an object's model comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -81,16 +81,6 @@ pub struct AdjustmentFigures {
     pub num_uncertain: usize,
 }
 
-impl From<&Joint> for AdjustmentFigures {
-    fn from(found: &Joint) -> Self {
-        Self {
-            frames_with_outline: found.contact.num_frames,
-            error_px: found.error_px,
-            num_uncertain: found.num_uncertain,
-        }
-    }
-}
-
 /// Places one object: adjusts its model if `options` want that, finds the scale ratio, and assembles the trajectory.
 ///
 /// Never fails as a whole: [`PlacedObject::trajectory`] and [`PlacedObject::adjustment`] say what could not be done and
@@ -126,8 +116,9 @@ impl Evidence<'_> {
         let references = references(as_it_was, options);
         let scale = joint_estimate(&views, &found, options, self.focal_std);
         let scale = ScaleEstimate { as_reconstructed, references, ..scale };
-        let adjustment = Adjustment::Done(AdjustmentFigures::from(&found));
-        self.finished(found.object, adjustment, Ok(scale), options)
+        let Joint { object, contact, error_px, num_uncertain, .. } = found;
+        let figures = AdjustmentFigures { frames_with_outline: contact.num_frames, error_px, num_uncertain };
+        self.finished(object, Adjustment::Done(figures), Ok(scale), options)
     }
 
     /// The object in its place, once its scale ratio is known.
@@ -156,7 +147,7 @@ impl Evidence<'_> {
         scale: ScaleEstimate,
     ) -> Result<ObjectTrajectory, ScaleError> {
         let description = self.description.clone();
-        let mut trajectory = assemble(description, self.background, object, scale, self.frames, Unit::Background);
+        let mut trajectory = assemble(description, self.background, object, scale, self.frames);
         for plane in self.background.paired_images(object).iter().filter_map(|(frame, ..)| self.planes.get(frame)) {
             *trajectory.ground.entry(plane.basis).or_default() += 1;
         }

@@ -11,14 +11,12 @@ use nalgebra::{Matrix3, Matrix6, Point3, SMatrix};
 
 use super::assemble::object_center;
 use super::contact::{ContactOptions, solid_points};
-use crate::math::quantile;
+use crate::math::quantile_range;
 use crate::scene::{FrameId, Image, ObjectPose, Reconstruction};
 
 /// Least standard deviation of an observation, pixels: corners are not found better, and of the few that are left at
 /// the end of a track the residuals are fitted away.
 pub(super) const MIN_PIXEL_STD: f64 = 0.3;
-/// Fewest poses of a trajectory that keeps only the sure ones: fewer have no smooth path.
-const MIN_POSES: usize = 4;
 
 /// Covariance of an object's position in each frame, in the frame and unit of the background, without that of the
 /// ratio. Frames whose pixels determine no pose have an infinite one, and are absent.
@@ -71,7 +69,8 @@ pub(super) fn drop_unsure(
     let Some(size) = model_size(object).map(|size| ratio * size) else { return Vec::new() };
     let std = |pose: &ObjectPose| covariances.get(&pose.frame).map_or(f64::INFINITY, |c| c.trace().max(0.0).sqrt());
     let dropped: Vec<FrameId> = poses.iter().filter(|pose| std(pose) > size).map(|pose| pose.frame).collect();
-    if poses.len() < MIN_POSES + dropped.len() {
+    // Fewer than four have no smooth path.
+    if poses.len() < 4 + dropped.len() {
         return Vec::new();
     }
     poses.retain(|pose| !dropped.contains(&pose.frame));
@@ -83,8 +82,8 @@ fn model_size(object: &Reconstruction) -> Option<f64> {
     let points = solid_points(object, &ContactOptions::default());
     let mut squares = 0.0;
     for axis in 0..3 {
-        let mut along: Vec<f64> = points.iter().map(|point| point[axis]).collect();
-        squares += (quantile(&mut along, 0.98)? - quantile(&mut along, 0.02)?).powi(2);
+        let [low, high] = quantile_range(&mut points.iter().map(|point| point[axis]).collect::<Vec<_>>(), 0.02)?;
+        squares += (high - low).powi(2);
     }
     (squares > 0.0).then(|| squares.sqrt())
 }

@@ -30,16 +30,10 @@ use crate::camera::Camera;
 use crate::math::student_4;
 use crate::scene::{Frame, Image, ImageId, ObjectPose, Reconstruction, TrackElement};
 
-/// Fewest positions that show a motion, as for the smoother.
-const MIN_POSITIONS: usize = 4;
-/// Unknowns of the regression: s and a.
-const UNKNOWNS: f64 = 4.0;
 /// Half of the time over which a path is compared with its chord, seconds: a third of a step.
 const SHAKE_S: f64 = 0.15;
 /// Acceleration over velocity of a vehicle, 1/s: 1 m/s² at 36 km/h. A camera that is carried has 1, one in a car 0.02.
 const VEHICLE_HZ: f64 = 0.1;
-/// Fewest stretches of twice [`SHAKE_S`] from which a standard deviation is taken.
-const MIN_STRETCHES: usize = 4;
 
 /// Slope s of the vehicle's displacement relative to the camera over the camera's own.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +55,8 @@ impl RelativeMotion {
             (weight.is_finite() && center.norm_squared().is_finite()).then_some((weight, center, relative))
         };
         let sights: Vec<(f64, Vector3<f64>, Vector3<f64>)> = poses.iter().filter_map(sight).collect();
-        (sights.len() >= MIN_POSITIONS).then(|| regression(&sights))?
+        // As for the smoother.
+        (sights.len() >= 4).then(|| regression(&sights))?
     }
 
     /// Likelihood of a moving vehicle over that of a stationary one.
@@ -148,7 +143,7 @@ impl Shaking {
         let scatter: f64 = self.stretches.values().map(|[g, h]| (g - off * h).powi(2)).sum();
         let noise = (num / (num - 1.0) * scatter).sqrt() / squares;
         let std = noise.hypot(VEHICLE_HZ * (self.velocities / self.accelerations).sqrt());
-        (self.stretches.len() >= MIN_STRETCHES && off.is_finite() && std.is_finite())
+        (self.stretches.len() >= 4 && off.is_finite() && std.is_finite())
             .then_some(RelativeMotion { slope: 1.0 - off, std })
     }
 }
@@ -176,7 +171,8 @@ fn regression(sights: &[(f64, Vector3<f64>, Vector3<f64>)]) -> Option<RelativeMo
     let spread = sum(&|c, _| c.norm_squared());
     let slope = -sum(&|c, u| c.dot(&u)) / spread;
     let num = sights.len() as f64;
-    let freedom = 3.0 * num / (3.0 * num - UNKNOWNS);
+    // The unknowns are s and a.
+    let freedom = 3.0 * num / (3.0 * num - 4.0);
     let squares = freedom * sum(&|c, u| (u + slope * c).norm_squared());
     // Weights are inverse squares of distances, so that num / total is the weighted mean of those squares.
     let distance_squared = num / total;

@@ -21,14 +21,20 @@ use crate::scene::{
 ///
 /// `None` for a model without points.
 pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f64) -> Option<PlacedObject> {
-    let parallax = ModelParallax::of(evidence.object)?;
-    let object = compacted(evidence.object, parallax.noise);
-    let std = parallax.relative_distance_std();
+    let model = evidence.object;
+    // Turn of the rays to a point between its cameras, and standard deviation of a ray's direction, radians.
+    let parallax = median(model.points.values().map(|point| widest_angle_of(point, model)).collect())?;
+    let noise_px = model.mean_reprojection_error_px()?.max(MIN_PIXEL_STD);
+    let noise = noise_px / model.cameras.values().next()?.mean_focal();
+    let object = compacted(model, noise);
+    // A track drifts, so that all of its observations count as the two at its ends; drifts of neighboring points are
+    // alike, so that all points count as one.
+    let std = 2f64.sqrt() * noise / parallax;
     let by_ground = placed.trajectory.as_ref().ok().map(|trajectory| &trajectory.scale);
     let camera_path = by_ground.map(|scale| CameraPathRatio {
         ratio: 1.0,
         std,
-        residual: parallax.noise,
+        residual: noise,
         ratio_without: scale.ratio,
         std_without: scale.std,
         degenerate_without: scale.degenerate,
@@ -50,7 +56,7 @@ pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f6
     // The pose of a frame is that of the background's camera: what is left is the noise of the image across the ray.
     let covariance = |pose: &ObjectPose| {
         let center = evidence.background.images.get(&ImageId::from(pose.frame))?.cam_from_world.center().coords;
-        let std = parallax.noise * (Vector3::from(pose.position) - center).norm();
+        let std = noise * (Vector3::from(pose.position) - center).norm();
         Some((pose.frame, Matrix3::identity() * (std * std)))
     };
     let pose_covariances = trajectory.poses.iter().filter_map(covariance).collect();
@@ -104,8 +110,6 @@ pub struct LevelledPlanes {
 ///
 /// * `noise` – standard deviation of a ray's direction, radians.
 fn compacted(object: &Reconstruction, noise: f64) -> Reconstruction {
-    // Width and depth of a vehicle differ by up to a factor of 2.5, either way.
-    const DEPTH_PER_WIDTH: f64 = 1.5;
     let mut object = object.clone();
     let Some(middle) = object.images.values().nth(object.images.len() / 2) else { return object };
     let center = middle.cam_from_world.center();
@@ -120,7 +124,8 @@ fn compacted(object: &Reconstruction, noise: f64) -> Reconstruction {
     let mean = usable().map(|(_, q, std)| q * std.powi(-2)).sum::<f64>() / weight;
     let axis = usable().map(|(direction, ..)| direction).sum::<Vector3<f64>>().normalize();
     let spread = usable().map(|(direction, ..)| (direction - axis).norm_squared()).sum::<f64>() / found.len() as f64;
-    let prior_std = DEPTH_PER_WIDTH * mean * spread.sqrt();
+    // Width and depth of a vehicle differ by up to a factor of 2.5, either way.
+    let prior_std = 1.5 * mean * spread.sqrt();
     for (point, (direction, q, std)) in object.points.values_mut().zip(&found) {
         let share = prior_std.powi(2) / (prior_std.powi(2) + std.powi(2));
         let moved = center + direction / (mean + share * (q - mean));
@@ -135,30 +140,6 @@ fn compacted(object: &Reconstruction, noise: f64) -> Reconstruction {
 fn widest_angle_of(point: &Point3d, object: &Reconstruction) -> f64 {
     let images = point.track.iter().filter_map(|element| object.images.get(&element.image));
     widest_angle(point.position, images.map(|image| image.cam_from_world.center()))
-}
-
-/// Turn of the rays to the points of a model between their cameras.
-struct ModelParallax {
-    /// Median of the widest angles at its points, radians.
-    parallax: f64,
-    /// Standard deviation of a ray's direction, radians.
-    noise: f64,
-}
-
-impl ModelParallax {
-    /// `None` for a model without points.
-    fn of(object: &Reconstruction) -> Option<Self> {
-        let camera = object.cameras.values().next()?;
-        let parallax = median(object.points.values().map(|point| widest_angle_of(point, object)).collect())?;
-        let noise_px = object.mean_reprojection_error_px()?.max(MIN_PIXEL_STD);
-        Some(Self { parallax, noise: noise_px / camera.mean_focal() })
-    }
-
-    /// Relative standard deviation of the distance. A track drifts, so that all of its observations count as the two at
-    /// its ends; drifts of neighboring points are alike, so that all points count as one.
-    fn relative_distance_std(&self) -> f64 {
-        2f64.sqrt() * self.noise / self.parallax
-    }
 }
 
 #[cfg(test)]

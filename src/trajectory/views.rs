@@ -5,13 +5,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{Options, ScaleError};
-use crate::math::median;
+use crate::math::{centroid, median};
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
 /// [`View::lever`] of numbers. What an angle is wrong by lifts the object in proportion to its distance, so that a
 /// vehicle far ahead of a low camera is off by much more than one below a drone.
 pub(super) fn lever(camera_height: f64, distance: f64) -> f64 {
     camera_height.abs().max(0.5 * distance)
+}
+
+/// Standard deviation of the planes' height that all frames have in common: the median.
+pub(super) fn common_height_std<'a>(planes: impl Iterator<Item = &'a GroundPlane>) -> f64 {
+    median(planes.map(|plane| plane.common_height_std).filter(|std| std.is_finite()).collect()).unwrap_or(0.0)
 }
 
 /// Mean direction of the ground's normals in the object's frame, and the median angle between it and them, radians.
@@ -109,11 +114,9 @@ impl Views {
                 numbers.is_finite().then_some(view)
             })
             .collect();
-        let is_finite = |p: &Point3<f64>| p.coords.iter().all(|x| x.is_finite());
-        let points = object.points.values().map(|point| point.position).filter(is_finite).collect();
         Self {
             views,
-            points,
+            points: object.finite_positions(),
             num_paired: paired.len(),
             num_planes: planes.len(),
             plane_std: change_of_basis(planes),
@@ -125,8 +128,7 @@ impl Views {
     /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the
     /// distance (see [`View::lever`]), beyond that seen from above; units of the background. The median over the views.
     pub(super) fn grazing_std(&self, ratio: f64) -> f64 {
-        let count = self.points.len().max(1) as f64;
-        let middle = Point3::from(self.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
+        let middle = centroid(&self.points);
         let beyond = |view: &View| {
             let lever = view.lever(&middle, ratio);
             (lever * lever - view.camera_height * view.camera_height).max(0.0).sqrt()

@@ -27,14 +27,6 @@ use super::motion::Motion;
 use super::search::Grid;
 use crate::trajectory::{ScaleError, Views};
 
-/// Standard deviations of a measured position across and along its ray, as shares of the distance: a pixel at a focal
-/// length of a thousand; what the size of a reconstruction drifts by.
-const STDS: [f64; 2] = [1e-3, 0.02];
-/// Spectral densities of the acceleration to choose from, in squared distances per cubic frame: for a vehicle at 20 m
-/// from 0.06 m²/s³ at 25 frames per second to 0.4 m²/s³ at ten.
-const DENSITIES: [f64; 3] = [1e-8, 1e-7, 1e-6];
-/// Standard deviation of the first position and velocity, in distances: nothing is known of them.
-const FIRST_STD: f64 = 50.0;
 /// Step of log r for the curvature of the likelihood.
 const CURVATURE_STEP: f64 = 0.01;
 
@@ -45,8 +37,10 @@ pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
     let distance = guess * motion.distance();
     let filter = Filter {
         guess,
-        densities: DENSITIES.map(|density| density * distance * distance).to_vec(),
-        first_variance: (FIRST_STD * distance).powi(2),
+        // For a vehicle at 20 m from 0.06 m²/s³ at 25 frames per second to 0.4 m²/s³ at ten.
+        densities: [1e-8, 1e-7, 1e-6].map(|density: f64| density * distance * distance).to_vec(),
+        // Nothing is known of them.
+        first_variance: (50.0 * distance).powi(2),
         frame: 1.0,
     };
     let [ratio, std] = filter.solve(&motion)?;
@@ -69,7 +63,7 @@ impl Filter {
     /// Ratio and standard deviation.
     pub(super) fn solve(&self, motion: &Motion) -> Result<[f64; 2], ScaleError> {
         // Coarse: the likelihood is smooth, and a run of the filter costs more than the other criteria.
-        let grid = Grid { factors: [0.3, 3.0], num: 41, rounds: 40 };
+        let grid = Grid { factors: [0.3, 3.0], num: 41 };
         let cost = |r: f64, density: f64| self.unlikelihood(motion, r, density);
         let best = |density: &f64| Some((*density, grid.best(self.guess, |r| cost(r, *density))?));
         let best = self.densities.iter().filter_map(best).min_by(|a, b| a.1.1.total_cmp(&b.1.1));
@@ -124,10 +118,11 @@ fn noise(time: f64, density: f64) -> Matrix6<f64> {
     noise
 }
 
-/// Covariance of a measured position.
+/// Covariance of a measured position across and along its ray.
 fn measured(motion: &Motion, frame: usize, ratio: f64) -> Matrix3<f64> {
     let offset = motion.offsets[frame];
-    let [across, along] = STDS.map(|std| std * std);
+    // Shares of the distance: a pixel at a focal length of a thousand; what the size of a reconstruction drifts by.
+    let [across, along] = [1e-3, 0.02].map(|std: f64| std * std);
     let ray = offset * offset.transpose();
     ratio * ratio * (Matrix3::identity() * (across * offset.norm_squared()) + ray * (along - across))
 }

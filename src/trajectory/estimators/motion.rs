@@ -12,8 +12,8 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::Estimate;
-use crate::math::{median, quantile};
-use crate::trajectory::{ScaleError, Views};
+use crate::math::{centroid, median, quantile, quantile_range};
+use crate::trajectory::{ScaleError, View, Views};
 
 /// Parts of a clip that are left out one by one for a standard deviation, as in `joint`.
 const NUM_GROUPS: usize = 5;
@@ -57,12 +57,12 @@ impl Motion {
     /// [`ScaleError`] for too few views or no points.
     pub(super) fn new(views: &Views) -> Result<Self, ScaleError> {
         views.require(MIN_FRAMES)?;
-        let count = views.points.len() as f64;
-        let middle = Point3::from(views.points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / count);
+        let middle = centroid(&views.points);
         let mut motion = Self { length: length(&views.points, &middle), ..Self::default() };
+        let offsets = |view: &View| -> Vec<f64> { views.points.iter().map(|point| view.offset(point)).collect() };
         for view in &views.views {
             let rotation = view.background_from_object;
-            let lowest = views.points.iter().map(|point| view.offset(point)).reduce(f64::min);
+            let lowest = offsets(view).into_iter().reduce(f64::min);
             motion.times.push(f64::from(view.frame.0));
             motion.centers.push(view.center_in_background.coords);
             motion.offsets.push(rotation * (middle - view.center_in_object));
@@ -72,12 +72,8 @@ impl Motion {
             motion.height_stds.push(view.height_std);
             motion.lowest.push(lowest.unwrap_or(f64::NAN));
         }
-        let middle_view = views.views.get(views.views.len() / 2);
-        let levels = middle_view.map(|view| views.points.iter().map(|point| view.offset(point)).collect());
-        let mut levels: Vec<f64> = levels.unwrap_or_default();
-        if let (Some(low), Some(high)) = (quantile(&mut levels, 0.02), quantile(&mut levels, 0.98)) {
-            motion.tall = high - low;
-        }
+        let levels = quantile_range(&mut offsets(&views.views[views.views.len() / 2]), 0.02);
+        motion.tall = levels.map_or(0.0, |[low, high]| high - low);
         let step = median(motion.times.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or(1.0);
         motion.times.iter_mut().for_each(|time| *time /= step);
         Ok(motion)

@@ -12,15 +12,12 @@
 //! **Assumption**: the vehicle turns, and stays in one plane. **Blind** where the camera keeps its distance from that
 //! plane, or the vehicle does not turn.
 
-use nalgebra::{Matrix3, Rotation3, SymmetricEigen, Vector3};
+use nalgebra::{Matrix3, Rotation3, Vector3};
 
 use super::motion::Motion;
 use super::ozden_independence::centered;
+use crate::math::symmetric_eigen;
 use crate::trajectory::ScaleError;
-
-/// Turn below which the axis is one of noise, radians: an attitude that is good to 0.3° puts the axis of a turn of 10°
-/// off by 2°, and the plane by 3 % of the path.
-const MIN_TURN: f64 = 0.175;
 
 /// r of a path across the axis.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
@@ -36,9 +33,7 @@ fn axis(motion: &Motion) -> Option<Vector3<f64>> {
     let turns = || motion.rotations.iter().map(|rotation| rotation * first);
     let largest = turns().map(|turn| Rotation3::from_matrix_unchecked(turn).angle()).fold(0.0, f64::max);
     let scatter: Matrix3<f64> = turns().map(|turn| turn - Matrix3::identity()).map(|d| d.transpose() * d).sum();
-    if !(largest >= MIN_TURN) || !scatter.iter().all(|number| number.is_finite()) {
-        return None;
-    }
-    let found = SymmetricEigen::new(scatter);
+    // An attitude that is good to 0.3° puts the axis of a turn of 10° off by 2°, and the plane by 3 % of the path.
+    let found = symmetric_eigen(scatter).filter(|_| largest >= 0.175)?;
     Some(found.eigenvectors.column(found.eigenvalues.imin()).into_owned())
 }

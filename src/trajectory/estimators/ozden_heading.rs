@@ -34,19 +34,11 @@ use super::motion::{Motion, positive};
 use crate::math::{median, svd3};
 use crate::trajectory::{ScaleError, Views};
 
-/// Ratios to start from, as factors of the first guess.
-const STARTS: [f64; 5] = [0.5, 0.8, 1.0, 1.25, 2.0];
-/// Rounds of Gauss and Newton; convergence takes less than ten.
-const MAX_ROUNDS: usize = 30;
 /// Distance from the rear axle to the middle of the vehicle's points, and its standard deviation, as shares of the
 /// vehicle's length: 1.3 m of 4.3 m; a middle that lies at one of the ends is within it.
 const AXLE: [f64; 2] = [0.3, 0.35];
-/// A step, as a share of the vehicle's length.
-const STEP: f64 = 0.5;
 /// Drift of the object's model over a clip, standard deviation: 1 % in size (`docs/maths/scale.md`), angles alike.
 const DRIFT: f64 = 0.01;
-/// Terms of a random walk's expansion: three have 93 % of its variance.
-const DRIFT_TERMS: u32 = 3;
 /// Bounds of the ratio during the search, as factors of the guess: far beyond any start.
 const BOUNDS: [f64; 2] = [0.05, 20.0];
 
@@ -67,7 +59,8 @@ pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
 fn step(motion: &Motion, length: f64, guess: f64) -> usize {
     let position = |k: usize| motion.centers[k] + guess * motion.offsets[k];
     let speed = median(motion.pairs(1).map(|(a, b)| (position(b) - position(a)).norm()).collect()).unwrap_or(0.0);
-    let wanted = 0.5 * STEP * length / speed;
+    // Half of the vehicle's length, two frames at a time.
+    let wanted = 0.25 * length / speed;
     let most = (motion.len() / 8).max(1);
     2 * if wanted.is_finite() { (wanted.round() as usize).clamp(1, most) } else { most }
 }
@@ -112,7 +105,8 @@ impl Heading {
         if steps.len() < 5 {
             return Err(ScaleError::Undetermined("too few frames in a row"));
         }
-        let found = STARTS.iter().filter_map(|start| self.from(&steps, start * self.guess));
+        let starts = [0.5, 0.8, 1.0, 1.25, 2.0].into_iter();
+        let found = starts.filter_map(|start| self.from(&steps, start * self.guess));
         let best = found.min_by(|a, b| a.share.total_cmp(&b.share));
         let Minimum { state, std, .. } = best.ok_or(ScaleError::Undetermined("no direction of motion"))?;
         let ratio = state.ratio;
@@ -130,7 +124,8 @@ impl Heading {
         let change = |motion: &Motion| Some(self.round(&self.steps(motion), state, &tangents)?.0[0]);
         let undisturbed = change(motion)?;
         let mut variance = 0.0;
-        for (mode, term) in (0..4).flat_map(|mode| (1..=DRIFT_TERMS).map(move |term| (mode, term))) {
+        // Three terms of a random walk's expansion have 93 % of its variance.
+        for (mode, term) in (0..4).flat_map(|mode| (1..=3).map(move |term| (mode, term))) {
             let rate = (f64::from(term) - 0.5) * PI;
             let mut drifting = motion.clone();
             for (k, time) in motion.times.iter().enumerate() {
@@ -168,7 +163,8 @@ impl Heading {
     fn from(&self, steps: &[Step], ratio: f64) -> Option<Minimum> {
         let mut state = State { ratio, direction: main_direction(steps, ratio)?, axle: 0.0 };
         let mut normal = Matrix4::zeros();
-        for _ in 0..MAX_ROUNDS {
+        // Convergence takes less than ten.
+        for _ in 0..30 {
             let change;
             let tangents = tangents(&state.direction)?;
             (change, normal) = self.round(steps, &state, &tangents)?;

@@ -28,10 +28,6 @@ const NUM_FOLDS: usize = 10;
 /// frames. Cross-validation chose 2 to 7 of them on five rendered sequences.
 const MAX_BASIS: usize = 16;
 
-/// Rounds of the refinement, and halvings of a step in each.
-const MAX_ROUNDS: usize = 20;
-const MAX_HALVINGS: usize = 10;
-
 /// First cosines of the discrete cosine transform, at the times of the frames.
 pub(super) fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {
     let first = motion.times.first().copied().unwrap_or(0.0);
@@ -111,9 +107,9 @@ impl Rays {
     /// The path of least squared errors of direction near another; that one where there is no better.
     fn refined(&self, mut path: DVector<f64>) -> DVector<f64> {
         let mut least = self.cost(&path);
-        for _ in 0..MAX_ROUNDS {
+        for _ in 0..20 {
             let Some(step) = self.step(&path) else { break };
-            let shorter = (0..MAX_HALVINGS).map(|halvings| &path + &step * 0.5_f64.powi(halvings as i32));
+            let shorter = (0..10).map(|halvings| &path + &step * 0.5_f64.powi(halvings));
             let better = shorter.map(|next| (self.cost(&next), next)).find(|(cost, _)| *cost < least);
             let Some((cost, next)) = better else { break };
             let is_settled = cost > (1.0 - 1e-9) * least;
@@ -128,22 +124,12 @@ impl Rays {
     /// Step of Gauss and Newton.
     fn step(&self, path: &DVector<f64>) -> Option<DVector<f64>> {
         let num = path.len() / 3;
-        let (mut matrix, mut right) = (DMatrix::zeros(path.len(), path.len()), DVector::zeros(path.len()));
+        let mut normal = Normal::zeros(num);
         for frame in 0..self.centers.len() {
             let (residual, slope) = self.residual(path, frame);
-            let (square, gradient) = (slope.transpose() * slope, slope.transpose() * residual);
-            for row in 0..num {
-                let weight = self.basis[(frame, row)];
-                let mut part = right.fixed_rows_mut::<3>(3 * row);
-                part -= weight * gradient;
-                for column in 0..num {
-                    let mut block = matrix.view_mut((3 * row, 3 * column), (3, 3));
-                    block += weight * self.basis[(frame, column)] * square;
-                }
-            }
+            normal.add_frame(&self.basis, frame, &(slope.transpose() * slope), &-(slope.transpose() * residual));
         }
-        let step = matrix.cholesky()?.solve(&right);
-        step.iter().all(|number| number.is_finite()).then_some(step)
+        normal.solution(num)
     }
 
     fn cost(&self, path: &DVector<f64>) -> f64 {
@@ -155,8 +141,7 @@ impl Rays {
         let towards = self.position_relative_to_camera(path, frame);
         let (length, ray) = (towards.norm(), self.directions[frame]);
         let direction = towards / length;
-        let across = |unit: Vector3<f64>| Matrix3::identity() - unit * unit.transpose();
-        (across(ray) * direction, across(ray) * across(direction) / length)
+        (across(&ray) * direction, across(&ray) * across(&direction) / length)
     }
 
     fn of_fold(&self, fold: usize) -> impl Iterator<Item = usize> {
@@ -165,25 +150,12 @@ impl Rays {
 
     /// Normal equations of the frames of one fold.
     fn normal(&self, fold: usize) -> Normal {
-        let size = 3 * MAX_BASIS;
-        let (mut matrix, mut right) = (DMatrix::zeros(size, size), DVector::zeros(size));
+        let mut normal = Normal::zeros(MAX_BASIS);
         for frame in self.of_fold(fold) {
-            let direction = self.directions[frame];
-            let across = Matrix3::identity() - direction * direction.transpose();
-            let center = across * self.centers[frame];
-            for row in 0..MAX_BASIS {
-                let weight = self.basis[(frame, row)];
-                for k in 0..3 {
-                    right[3 * row + k] += weight * center[k];
-                }
-                for column in 0..MAX_BASIS {
-                    let weight = weight * self.basis[(frame, column)];
-                    let mut block = matrix.view_mut((3 * row, 3 * column), (3, 3));
-                    block += weight * across;
-                }
-            }
+            let across = across(&self.directions[frame]);
+            normal.add_frame(&self.basis, frame, &across, &(across * self.centers[frame]));
         }
-        Normal { matrix, right }
+        normal
     }
 
     /// From the camera of a frame to the path.
@@ -204,7 +176,31 @@ impl Rays {
     }
 }
 
+/// Projection across a direction.
+fn across(unit: &Vector3<f64>) -> Matrix3<f64> {
+    Matrix3::identity() - unit * unit.transpose()
+}
+
 impl Normal {
+    fn zeros(num_basis: usize) -> Self {
+        let size = 3 * num_basis;
+        Self { matrix: DMatrix::zeros(size, size), right: DVector::zeros(size) }
+    }
+
+    /// Adds an equation of a frame's position.
+    fn add_frame(&mut self, basis: &DMatrix<f64>, frame: usize, matrix: &Matrix3<f64>, right: &Vector3<f64>) {
+        let num = self.right.len() / 3;
+        for row in 0..num {
+            let weight = basis[(frame, row)];
+            let mut part = self.right.fixed_rows_mut::<3>(3 * row);
+            part += weight * right;
+            for column in 0..num {
+                let mut block = self.matrix.view_mut((3 * row, 3 * column), (3, 3));
+                block += weight * basis[(frame, column)] * matrix;
+            }
+        }
+    }
+
     fn add(&mut self, other: &Self, factor: f64) {
         self.matrix += factor * &other.matrix;
         self.right += factor * &other.right;

@@ -10,14 +10,12 @@ pub(super) struct Grid {
     pub(super) factors: [f64; 2],
     /// Number of ratios.
     pub(super) num: usize,
-    /// Rounds of golden section search between the neighbors of the best one.
-    pub(super) rounds: usize,
 }
 
 impl Grid {
     /// Contact of the lowest points, the guess, is a third off at most (the paper's own worst case); five is beyond any
     /// doubt. One percent from ratio to ratio sees every valley of a criterion; forty rounds narrow it by 10⁻⁸.
-    pub(super) const FINE: Self = Self { factors: [0.2, 5.0], num: 321, rounds: 40 };
+    pub(super) const FINE: Self = Self { factors: [0.2, 5.0], num: 321 };
 
     fn ratio(&self, guess: f64, k: usize) -> f64 {
         let [first, last] = self.factors.map(f64::ln);
@@ -30,7 +28,7 @@ impl Grid {
         costs.min_by(|a, b| a.1.total_cmp(&b.1))
     }
 
-    /// The ratio of least cost.
+    /// The ratio of least cost, by golden section search between the neighbors of the best one of the grid.
     ///
     /// # Errors
     /// [`ScaleError::Undetermined`] if the cost is least at an end of the range: it has no minimum there.
@@ -40,7 +38,7 @@ impl Grid {
             return Err(ScaleError::Undetermined("the cost is least at the end of the search range"));
         };
         let (mut low, mut high) = (self.ratio(guess, best - 1), self.ratio(guess, best + 1));
-        for _ in 0..self.rounds {
+        for _ in 0..40 {
             let (a, b) = (low + 0.382 * (high - low), low + 0.618 * (high - low));
             if cost(a) < cost(b) { high = b } else { low = a }
         }

@@ -62,12 +62,8 @@ pub(super) struct Fit {
     pub(super) misfit: f64,
 }
 
-/// A bound for degenerate outlines.
-const ITERATIONS: usize = 30;
 /// Residuals beyond this many deviations lose weight.
 const CAUCHY: f64 = 2.0;
-/// Step of the differences, in units of the unknowns' expected deviations.
-const DIFFERENCE: f64 = 1e-5;
 
 /// The body's corners in the vehicle's frame.
 fn placed(corners: &[Vector3<f64>], value: &Unknowns) -> Vec<Point3<f64>> {
@@ -111,7 +107,8 @@ pub(super) fn fit(template: &Template, sights: &[OutlineView], expected: &Expect
     let mut now = cost(&residual, &value, expected, weight);
     let mut damping = 1e-3;
     let mut normal = SMatrix::<f64, NUM, NUM>::zeros();
-    for _ in 0..ITERATIONS {
+    // A bound for degenerate outlines.
+    for _ in 0..30 {
         let (matrix, gradient) = linearised(&corners, sights, expected, &value, &residual, weight)?;
         normal = matrix;
         let mut damped = matrix;
@@ -150,7 +147,7 @@ fn linearised(
 ) -> Option<Linear> {
     let mut columns: Vec<Vec<f64>> = Vec::with_capacity(NUM);
     for k in 0..NUM {
-        let step = DIFFERENCE * expected.std[k];
+        let step = 1e-5 * expected.std[k];
         let mut moved = *value;
         moved[k] += step;
         let other = residuals(corners, sights, &moved)?;

@@ -24,7 +24,7 @@ use self::outline::OutlineView;
 use self::template::Template;
 use super::contact::solid_points;
 use super::{Body, Options, Silhouette, View, Views, forward_axis};
-use crate::math::{Rigid3, median, quantile, symmetric_eigen};
+use crate::math::{Rigid3, centroid, median, quantile_range, symmetric_eigen};
 use crate::scene::{BodyCenter, Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
 
 /// An object whose extents are asked for.
@@ -58,37 +58,10 @@ pub struct Extents {
     pub center: Option<BodyCenter>,
 }
 
-/// Frames that are looked at, at most, spread over all.
-const MAX_SIGHTS: usize = 60;
-/// Fewest of them.
+/// Fewest frames that show an object.
 const MIN_SIGHTS: usize = 3;
-/// Sights from directions closer than this tell the same, radians.
-const SAME_SIGHT: f64 = 0.10;
-/// Independent lines of one sight: the sides of a vehicle's outline.
-const LINES_OF_A_SIGHT: f64 = 4.0;
-/// Deviation of a forward direction that comes from motion, radians.
-const YAW_STD: f64 = 0.03;
-/// Deviation of the ground's height, as a share of the vehicle's.
-const GROUND_STD: f64 = 0.015;
-/// Deviation of the logarithm of the height of the roof over the points: on real cars the highest ones are 15 to 25 %
-/// below it (glass, roofs without texture), on rendered ones hardly any.
-const TOP_STD: f64 = 0.15;
-/// The roof's height over that to which all but 2 % of the points reach.
-const TOP: f64 = 1.025;
-/// Distance of a visible end beyond all but 2 % of the points, as a share of the height, and its standard deviation.
-const END: f64 = 0.04;
-const END_STD: f64 = 0.08;
-/// Cosine of the angle between the line of sight and an end's normal up to which its points are seen.
-const FACING: f64 = 0.35;
-/// Length and width over the height, where points do not show more: 4.4, 1.8 and 1.5 m of a car.
-const LENGTH: f64 = 2.9;
-const WIDTH: f64 = 1.2;
 /// Standard deviations of the logarithms of length, width and height that no shape of a body accounts for.
 const SHAPE_STD: [f64; 3] = [0.02, 0.025, 0.03];
-/// An extent whose logarithm is less sure than this was not seen.
-const SEEN: f64 = 0.10;
-/// Extents that differ by this many deviations are not equal.
-const CLEAR: f64 = 2.0;
 
 /// Length, width and height of an object. Needs an upright direction: without a plane under it nothing is known.
 pub fn extents(subject: &Subject) -> Extents {
@@ -97,28 +70,17 @@ pub fn extents(subject: &Subject) -> Extents {
 
 fn measured(subject: &Subject) -> Option<Extents> {
     let start = Start::of(subject)?;
-    let axis = start.axis;
-    let starts = match axis {
-        Axis::Forward => vec![start],
-        // Either of the two may be its front.
-        Axis::Unknown => vec![start.turned(), start],
-    };
-    let found = |start: &Start| {
-        let (fits, independent) = fits(subject, start)?;
-        let object_from_vehicle = start.vehicle_from_object.inverse();
-        Some((fits.into_iter().map(|fit| PlacedFit { fit, object_from_vehicle }).collect::<Vec<_>>(), independent))
-    };
-    let fitted: Vec<_> = starts.iter().filter_map(found).collect();
+    let has_heading = start.has_heading;
+    // Without a heading either of the two may be its front.
+    let starts = if has_heading { vec![start] } else { vec![start.turned(), start] };
+    let fitted: Vec<_> = starts.iter().filter_map(|start| fits(subject, start)).collect();
     let independent = fitted.first()?.1;
     let fits = Weighted::of(fitted.into_iter().flat_map(|(fits, _)| fits).collect(), independent)?;
     let scale = &subject.trajectory.scale;
     let logs = Logs::of(&fits)?;
     let estimate = |k: usize| logs.estimate(k, scale.ratio, scale.std.unwrap_or(0.0) / scale.ratio);
     let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2), center: fits.center() };
-    match axis {
-        Axis::Forward => Some(all),
-        Axis::Unknown => Some(logs.longer_first(all)),
-    }
+    Some(if has_heading { all } else { logs.longer_first(all) })
 }
 
 /// A body of a vehicle's shape, fitted to the outlines of one map.
@@ -133,7 +95,7 @@ impl FittedBody {
     /// The body that fits best; shape and size are those of `known` where given. `None` where the motion does not tell
     /// the heading, or too few frames show the object.
     pub(super) fn of(subject: &Subject, body: Body, known: Option<&Self>) -> Option<Self> {
-        let start = Start::of(subject).filter(|start| start.axis == Axis::Forward)?;
+        let start = Start::of(subject).filter(|start| start.has_heading)?;
         let sights = start.sights(subject);
         let (weight, _) = weight_of(&sights)?;
         let mut expected = start.expected(&sights);
@@ -163,28 +125,22 @@ impl FittedBody {
 
 /// Weight of a line, and how many independent ones there are; `None` for too few frames.
 fn weight_of(sights: &[OutlineView]) -> Option<(f64, f64)> {
-    let independent = LINES_OF_A_SIGHT * num_views(sights) as f64;
+    // The sides of a vehicle's outline.
+    let independent = 4.0 * num_views(sights) as f64;
     let num_lines: usize = sights.iter().map(|sight| sight.touches.len()).sum();
     (sights.len() >= MIN_SIGHTS).then(|| ((independent / num_lines.max(1) as f64).min(1.0), independent))
 }
 
 /// Bodies of all shapes that the object may have, and how many independent lines they rest on; `None` where too few
 /// frames show the object.
-fn fits(subject: &Subject, start: &Start) -> Option<(Vec<Fit>, f64)> {
+fn fits(subject: &Subject, start: &Start) -> Option<(Vec<PlacedFit>, f64)> {
     let sights = start.sights(subject);
     let (weight, independent) = weight_of(&sights)?;
     let expected = start.expected(&sights);
     let shapes = template::of_body(Body::of_class(&subject.trajectory.class));
-    Some((shapes.iter().filter_map(|shape| fit::fit(shape, &sights, &expected, weight)).collect(), independent))
-}
-
-/// Source of the object's heading.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Axis {
-    /// Its motion.
-    Forward,
-    /// Nothing: its points lie along one direction or another.
-    Unknown,
+    let object_from_vehicle = start.vehicle_from_object.inverse();
+    let fits = shapes.iter().filter_map(|shape| fit::fit(shape, &sights, &expected, weight));
+    Some((fits.map(|fit| PlacedFit { fit, object_from_vehicle }).collect(), independent))
 }
 
 /// The vehicle's frame (x forward, y left, z up, origin on the ground below the middle of its points) and how far its
@@ -193,7 +149,8 @@ enum Axis {
 struct Start {
     vehicle_from_object: Rigid3,
     points: Vec<Point3<f64>>,
-    axis: Axis,
+    /// True if its motion shows the heading; otherwise its points lie along one direction or another.
+    has_heading: bool,
     /// Length, width and height over which the points spread.
     size: Vector3<f64>,
     /// Extents forwards, backwards, to the left and to the right.
@@ -206,30 +163,28 @@ impl Start {
         let up = views.iter().map(|view| view.normal_in_object).sum::<Vector3<f64>>();
         let up = Unit::try_new(up, f64::EPSILON)?;
         let points = solid_points(subject.object, &subject.options.joint.contact);
-        let middle = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / points.len().max(1) as f64);
+        let middle = centroid(&points);
         let ratio = subject.trajectory.scale.ratio;
         // Where the plane of a view crosses the vertical through the middle.
         let below = |view: &View| -(view.camera_height / ratio + view.offset(&middle)) / view.normal_in_object.dot(&up);
         let ground = median(views.iter().map(below).filter(|z| z.is_finite()).collect())?;
         let axis = forward_axis(&subject.trajectory.poses).filter(|_| has_travelled(subject, &points, &middle));
         let moved = axis.and_then(|axis| across(&axis, &up));
-        let axis = if moved.is_some() { Axis::Forward } else { Axis::Unknown };
+        let has_heading = moved.is_some();
         let forward = moved.or_else(|| longest(&points, &middle, &up))?;
         let left = up.cross(&forward);
         let rows = Matrix3::from_rows(&[forward.transpose(), left.transpose(), up.transpose()]);
         let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows));
         let vehicle_from_object = Rigid3::new(rotation, -(rotation * (middle + up.scale(ground)).coords));
         let points: Vec<_> = points.iter().map(|p| vehicle_from_object * *p).collect();
-        let spread = |k: usize| {
-            let mut along: Vec<f64> = points.iter().map(|p| p[k]).collect();
-            Some([quantile(&mut along, 0.02)?, quantile(&mut along, 0.98)?])
-        };
+        let spread = |k: usize| quantile_range(&mut points.iter().map(|p| p[k]).collect::<Vec<_>>(), 0.02);
         let ([x0, x1], [y0, y1], [_, top]) = (spread(0)?, spread(1)?, spread(2)?);
-        let (size, reach) = (Vector3::new(x1 - x0, y1 - y0, TOP * top), [x1, -x0, y1, -y0]);
+        // The roof is a little higher than all but 2 % of the points.
+        let (size, reach) = (Vector3::new(x1 - x0, y1 - y0, 1.025 * top), [x1, -x0, y1, -y0]);
         (top > 0.0 && size.iter().all(|s| s.is_finite())).then_some(Self {
             vehicle_from_object,
             points,
-            axis,
+            has_heading,
             size,
             reach,
         })
@@ -251,30 +206,34 @@ impl Start {
     /// Expected size before outlines are used.
     fn expected(&self, sights: &[OutlineView]) -> Expected {
         let height = self.size.z;
-        // Points of one end or side say nothing of what is behind it.
-        let (length, width) = (self.size.x.max(LENGTH * height), self.size.y.max(WIDTH * height));
-        let yaw = if self.axis == Axis::Forward { YAW_STD } else { 0.2 };
+        // Points of one end or side say nothing of what is behind it: a car is 4.4 m long, 1.8 m wide and 1.5 m high.
+        let (length, width) = (self.size.x.max(2.9 * height), self.size.y.max(1.2 * height));
+        let yaw = if self.has_heading { 0.03 } else { 0.2 };
         let directions: Vec<Vector3<f64>> = sights.iter().map(OutlineView::direction).collect();
         let reach = |k: usize| {
             let (axis, side) = (k / 2, if k.is_multiple_of(2) { 1.0 } else { -1.0 });
-            let facing = directions.iter().filter(|d| -side * d[axis] > FACING).count();
+            // The cosine between the line of sight and an end's normal from which on its points are seen.
+            let facing = directions.iter().filter(|d| -side * d[axis] > 0.35).count();
             let is_seen = facing >= MIN_SIGHTS.max(directions.len() / 10);
-            let [at, std] = [self.reach[k] + END * height, END_STD * height];
+            // A visible end is a little beyond all but 2 % of the points.
+            let [at, std] = [self.reach[k] + 0.04 * height, 0.08 * height];
             Reach { axis, side, at, std, is_seen }
         };
         Expected {
             value: Unknowns::from([length.ln(), width.ln(), height.ln(), 0.0, 0.0, 0.0, 0.0]),
-            std: Unknowns::from([0.5, 0.4, TOP_STD, 0.5 * length, 0.5 * width, yaw, GROUND_STD * height]),
+            // On real cars the highest points are 15 to 25 % below the roof (glass, roofs without texture), on rendered
+            // ones hardly any.
+            std: Unknowns::from([0.5, 0.4, 0.15, 0.5 * length, 0.5 * width, yaw, 0.015 * height]),
             reaches: [reach(0), reach(1), reach(2), reach(3)],
         }
     }
 
-    /// The outlines, of at most [`MAX_SIGHTS`] frames spread over all.
+    /// The outlines, of at most 60 frames spread over all.
     fn sights(&self, subject: &Subject) -> Vec<OutlineView> {
         let images = subject.object.images.iter();
         let seen: Vec<_> =
             images.filter_map(|(id, image)| Some((image, subject.silhouettes.get(&id.frame())?))).collect();
-        let step = seen.len().div_ceil(MAX_SIGHTS).max(1);
+        let step = seen.len().div_ceil(60).max(1);
         let sight = |(image, outline): &(&Image, &Silhouette)| {
             OutlineView::new(subject.object, image, outline, &self.points, &self.vehicle_from_object)
         };
@@ -311,7 +270,8 @@ fn longest(points: &[Point3<f64>], middle: &Point3<f64>, up: &Unit<Vector3<f64>>
 fn num_views(sights: &[OutlineView]) -> usize {
     let mut distinct: Vec<Vector3<f64>> = Vec::new();
     for direction in sights.iter().map(OutlineView::direction) {
-        if distinct.iter().all(|other| other.angle(&direction) > SAME_SIGHT) {
+        // Closer ones tell the same.
+        if distinct.iter().all(|other| other.angle(&direction) > 0.1) {
             distinct.push(direction);
         }
     }
@@ -404,13 +364,13 @@ impl Logs {
     fn estimate(&self, k: usize, ratio: f64, scale_std: f64) -> Option<Estimate> {
         let value = ratio * self.value[k].exp();
         let std = value * self.std[k].hypot(scale_std);
-        (self.std[k] < SEEN && value.is_finite() && std.is_finite()).then_some(Estimate { value, std })
+        (self.std[k] < 0.1 && value.is_finite() && std.is_finite()).then_some(Estimate { value, std })
     }
 
     /// Without a direction in which the object points: the longer side is its length where one clearly is.
     fn longer_first(&self, all: Extents) -> Extents {
         let difference = self.value[0] - self.value[1];
-        let is_clear = difference.abs() > CLEAR * self.std[0].hypot(self.std[1]);
+        let is_clear = difference.abs() > 2.0 * self.std[0].hypot(self.std[1]);
         match (is_clear, difference > 0.0) {
             (true, true) => all,
             (true, false) => Extents { length: all.width, width: all.length, ..all },

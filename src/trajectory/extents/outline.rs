@@ -26,19 +26,8 @@ pub(super) struct OutlineView {
     pub(super) std: f64,
 }
 
-/// Distance of an outline from the outermost centers of pixels, pixels.
-const BORDER: f64 = 0.3;
 /// Directions in which lines touch an outline.
 const DIRECTIONS: u32 = 16;
-/// Error of an outline that a network or a renderer draws, pixels.
-const EDGE_PX: f64 = 1.0;
-/// Error of a body's shape, as a share of how large the vehicle looks.
-const SHAPE: f64 = 0.012;
-/// By how many of these deviations points of the vehicle may lie outside of an outline before the vehicle counts as
-/// hidden there.
-const HIDDEN: f64 = 2.0;
-/// Share of the points that lie inside of an outline that hides nothing.
-const INSIDE: f64 = 0.97;
 
 impl OutlineView {
     /// From a frame's outline; `None` behind the camera. Lines beyond which the vehicle's own points lie are left out:
@@ -53,15 +42,16 @@ impl OutlineView {
         let camera = object.projecting_camera(image)?;
         let cam_from_vehicle = image.cam_from_world * vehicle_from_object.inverse();
         let hull: Vec<Vector2<f64>> = outline.hull.iter().map(|pixel| camera.normalized_from_pixel(*pixel)).collect();
-        let border = BORDER / camera.mean_focal();
+        let border = Silhouette::BORDER_PX / camera.mean_focal();
         let inside: Vec<Vector2<f64>> = points_in_vehicle.iter().filter_map(|p| seen(&cam_from_vehicle, p)).collect();
         let size = diameter(&hull);
-        let std = (EDGE_PX / camera.mean_focal()).hypot(SHAPE * size);
+        // A network or a renderer draws it to a pixel, and a body's shape is known to 1.2 % of how large it looks.
+        let std = camera.mean_focal().recip().hypot(0.012 * size);
         let touches = (0..DIRECTIONS).filter_map(|k| {
             let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
             let normal = Vector2::new(angle.cos(), angle.sin());
             let support = support(&hull, &normal) + border;
-            (reach(&inside, &normal)? <= support + HIDDEN * std).then_some(Touch { normal, support })
+            (reach(&inside, &normal)? <= support + 2.0 * std).then_some(Touch { normal, support })
         });
         let touches: Vec<Touch> = touches.collect();
         (touches.iter().all(|touch| touch.support.is_finite()) && std.is_finite()).then_some(Self {
@@ -88,9 +78,9 @@ pub(super) fn support(points: &[Vector2<f64>], normal: &Vector2<f64>) -> f64 {
     points.iter().map(|p| normal.dot(p)).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Support of nearly all points in a direction.
+/// Support of nearly all points in a direction: inside of an outline that hides nothing.
 fn reach(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
-    quantile(&mut points.iter().map(|p| normal.dot(p)).collect::<Vec<_>>(), INSIDE)
+    quantile(&mut points.iter().map(|p| normal.dot(p)).collect::<Vec<_>>(), 0.97)
 }
 
 /// Size of a hull: the longer side of the rectangle around it.

@@ -6,9 +6,7 @@ use super::template::of_body;
 use super::*;
 use crate::camera::Camera;
 use crate::math::Sim3;
-use crate::scene::{
-    CameraId, Frame, ImageId, ObjectId, PlaneBasis, Point3d, Point3dId, ScaleEstimate, ScaleMethod, Unit as LengthUnit,
-};
+use crate::scene::{CameraId, Frame, ImageId, ObjectId, PlaneBasis, Point3d, Point3dId, ScaleEstimate, ScaleMethod};
 use crate::trajectory::{ObjectDescription, assemble};
 
 /// Length, width and height of the car that the tests look at, metres; its model's unit is the metre.
@@ -69,7 +67,7 @@ fn world(azimuths: &[f64]) -> World {
     }
     let description = ObjectDescription { id: ObjectId(1), class: "car".into(), confidence: 1.0 };
     let scale = ScaleEstimate { std: Some(0.01 * RATIO), ..ScaleEstimate::new(RATIO, ScaleMethod::Joint) };
-    let trajectory = assemble(description, &background, &object, scale, &frames, LengthUnit::Background);
+    let trajectory = assemble(description, &background, &object, scale, &frames);
     World { object, background, planes, silhouettes, trajectory, options: Options::default() }
 }
 

@@ -17,17 +17,6 @@ const EDGE: f64 = 0.01;
 /// same sequences 1 to 2 px at 100 to 150 px.
 const BIAS_PX: f64 = 1.0;
 const BIAS: f64 = 0.02;
-/// Standard deviation of the distance, as a share of it, from which its three standard deviations reach infinity.
-const MAX_DISTANCE_STD: f64 = 1.0 / 3.0;
-/// Pixels below the lower edge that another vehicle's mask must cover to hide it.
-const BELOW_PX: f64 = 3.0;
-/// Least sine of the angle between the vertical and the line of sight at which the image has a downward direction: one
-/// degree from straight down it has none.
-const MIN_OBLIQUITY: f64 = 0.02;
-
-/// Outlines that may hide the vehicle.
-pub(super) type Occluders<'a> = Vec<&'a Silhouette>;
-
 /// Where a vehicle stands on the ground.
 #[derive(Clone, Debug)]
 pub(super) struct ContactPoint {
@@ -60,19 +49,22 @@ struct Ray<'a> {
 impl ContactPoint {
     /// Finds the contact point.
     ///
+    /// * `occluders` – outlines that may hide the vehicle.
+    ///
     /// # Errors
     /// Why the frame has none.
     pub(super) fn find(
         (camera, cam_from_world): (&Camera, &Rigid3),
         plane: &GroundPlane,
         outline: &Silhouette,
-        occluders: &Occluders,
+        occluders: &[&Silhouette],
         focal: &FocalError,
     ) -> Result<Self, NoContact> {
         let height = plane.signed_distance(cam_from_world.center());
         let ray = Ray { camera, cam_from_world, plane, height };
         let edge = Some(ray.lower_edge(outline)).filter(|_| height > 0.0).flatten().ok_or(NoContact::NoGroundPlane)?;
-        let below = edge.pixel + edge.down * BELOW_PX;
+        // Pixels below the edge that another vehicle's mask must cover to hide it.
+        let below = edge.pixel + edge.down * 3.0;
         if occluders.iter().any(|other| other.contains(below, 0.0)) {
             return Err(NoContact::Occluded);
         }
@@ -81,7 +73,8 @@ impl ContactPoint {
         let sight = position - cam_from_world.center();
         let along = sight.normalize();
         let variance = (along.transpose() * found.error.covariance() * along)[0];
-        let is_known = variance.sqrt() <= MAX_DISTANCE_STD * sight.norm();
+        // Three standard deviations of a third of the distance reach infinity.
+        let is_known = variance.sqrt() <= 1.0 / 3.0 * sight.norm();
         is_known.then_some(found).ok_or(NoContact::NearHorizon)
     }
 }
@@ -129,8 +122,9 @@ impl Ray<'_> {
         let up = self.cam_from_world.rotation * self.plane.normal;
         let step = 1e-3 * ray.norm();
         let moved = self.camera.pixel_from_cam(Point3::from(ray - up * step))?;
-        // Straight below the camera every direction leads away from it; the lower edge of the image serves as well.
-        let is_steep = up.cross(&ray.normalize()).norm() < MIN_OBLIQUITY;
+        // Straight below the camera, to a degree, every direction leads away from it; the lower edge of the image serves
+        // as well.
+        let is_steep = up.cross(&ray.normalize()).norm() < 0.02;
         if is_steep { Some(Vector2::y()) } else { (moved - pixel).try_normalize(0.0) }
     }
 

@@ -22,7 +22,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Point2, Vector3};
 
-use self::contact_point::{ContactPoint, Occluders};
+use self::contact_point::ContactPoint;
 use super::{ObjectDescription, Silhouette};
 use crate::math::median;
 use crate::scene::{
@@ -151,7 +151,7 @@ impl ContactEvidence<'_> {
         let own = self.outlines.get(&id).and_then(|outlines| outlines.get(&frame.id)).ok_or(NoContact::Truncated)?;
         let plane = self.planes.get(&frame.id).ok_or(NoContact::NoGroundPlane)?;
         let others = self.outlines.iter().filter(|(other, _)| **other != id);
-        let occluders: Occluders = others.filter_map(|(_, outlines)| outlines.get(&frame.id)).collect();
+        let occluders: Vec<&Silhouette> = others.filter_map(|(_, outlines)| outlines.get(&frame.id)).collect();
         let camera = self.background.camera_of(image);
         Ok((plane, ContactPoint::find((camera, &image.cam_from_world), plane, own, &occluders, &self.focal)?))
     }

@@ -4,13 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
-use super::precision::for_each_residual;
+use super::precision::residuals;
 use super::{Grounded, JointOptions};
 use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Problem, Wanted, Whitening};
 use crate::math::{RobustLoss, STD_PER_MAD, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
-use crate::trajectory::views::{lever, mean_normal};
+use crate::trajectory::views::{common_height_std, lever, mean_normal};
 use crate::trajectory::{
     Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
     least_squares, object_center,
@@ -24,7 +24,6 @@ const SURE: f64 = 0.1;
 const SIGMA_TILT: f64 = 0.03;
 /// Standard deviations beyond which a plane, or an image position, loses weight (Cauchy): few of normal noise do.
 const LOSS_SCALE: f64 = 3.0;
-const PIXEL_LOSS_SCALE: f64 = 3.0;
 
 /// Shares of the cost at which adjustments end: of the whole object, and of one without some of its tracks or frames,
 /// which begins where the whole one ended. At 1e-5 their sizes vary as they do at 1e-6, at 1e-4 the surest less.
@@ -91,8 +90,7 @@ impl<'a> Adjustment<'a> {
         let lift = Vector3::z() * height - level * (center.coords * ratio);
         let mut object = grounded.object.clone();
         object.transform(&Sim3::new(ratio, level, lift));
-        let mut residuals = Vec::new();
-        for_each_residual(&object, |_, residual| residuals.extend([residual.x.abs(), residual.y.abs()]));
+        let residuals = residuals(&object).flat_map(|(_, residual)| [residual.x.abs(), residual.y.abs()]).collect();
         let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
         let contact_options = grounded.body.contact(&options.contact);
@@ -154,7 +152,7 @@ impl<'a> Adjustment<'a> {
     }
 
     fn bundle_options(&self, problem: &Problem) -> bundle::Options {
-        let scale = PIXEL_LOSS_SCALE / self.devaluation(problem);
+        let scale = LOSS_SCALE / self.devaluation(problem);
         bundle::Options { loss: RobustLoss::Cauchy { scale }, threads: 1, ..bundle::Options::default() }
     }
 
@@ -212,9 +210,7 @@ impl<'a> Adjustment<'a> {
 
     /// Standard deviation of the ground's height that all frames have in common, as a share of the camera's height.
     pub(super) fn common_height_std(&self) -> f64 {
-        let planes = self.grounded.planes.values();
-        let common = median(planes.map(|plane| plane.common_height_std).filter(|std| std.is_finite()).collect());
-        let share = common.unwrap_or(0.0) / self.camera_height;
+        let share = common_height_std(self.grounded.planes.values()) / self.camera_height;
         if share.is_finite() { share } else { 0.0 }
     }
 

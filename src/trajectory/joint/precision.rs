@@ -8,32 +8,29 @@ use crate::math::{median, symmetric_eigen};
 use crate::scene::{Image, Observation, Point3dId, Reconstruction};
 
 /// Every residual of image positions, pixels, with the point that it belongs to.
-pub(super) fn for_each_residual(model: &Reconstruction, mut visit: impl FnMut(Point3dId, Vector2<f64>)) {
-    for image in model.images.values() {
-        let camera = model.camera_of(image);
-        for (id, observation) in points_of(model, image) {
-            if let Some(pixel) = camera.pixel_from_cam(image.cam_from_world * model.points[&id].position) {
-                visit(id, pixel - observation.pixel);
-            }
-        }
-    }
+pub(super) fn residuals(model: &Reconstruction) -> impl Iterator<Item = (Point3dId, Vector2<f64>)> {
+    model.images.values().flat_map(move |image| {
+        let residual = move |(id, observation): (Point3dId, &Observation)| {
+            let in_cam = image.cam_from_world * model.points[&id].position;
+            Some((id, model.camera_of(image).pixel_from_cam(in_cam)? - observation.pixel))
+        };
+        points_of(model, image).filter_map(residual)
+    })
 }
 
 /// Median length of the residuals, pixels.
 pub(super) fn median_error_px(model: &Reconstruction) -> Option<f64> {
-    let mut lengths = Vec::new();
-    for_each_residual(model, |_, residual| lengths.push(residual.norm()));
-    median(lengths)
+    median(residuals(model).map(|(_, residual)| residual.norm()).collect())
 }
 
 /// Mean reprojection errors of all points, as they are now.
 pub(super) fn set_errors(model: &mut Reconstruction) {
     let mut sums: BTreeMap<Point3dId, (f64, f64)> = BTreeMap::new();
-    for_each_residual(model, |id, residual| {
+    for (id, residual) in residuals(model) {
         let (sum, count) = sums.entry(id).or_default();
         *sum += residual.norm();
         *count += 1.0;
-    });
+    }
     for (id, (sum, count)) in sums {
         if let Some(point) = model.points.get_mut(&id) {
             point.error_px = sum / count;

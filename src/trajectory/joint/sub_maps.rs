@@ -11,7 +11,7 @@ use nalgebra::{UnitQuaternion, Vector3};
 use super::Grounded;
 use super::spread::without_images;
 use crate::math::Sim3;
-use crate::scene::{ImageId, ObjectId, Point3dId, Reconstruction, ScaleEstimate, ScaleMethod, Unit};
+use crate::scene::{ImageId, ObjectId, Point3dId, Reconstruction, ScaleEstimate, ScaleMethod};
 use crate::trajectory::Options;
 use crate::trajectory::assemble::{ObjectDescription, assemble};
 use crate::trajectory::extents::{FittedBody, Subject};
@@ -63,7 +63,7 @@ fn fitted_body(
     let Grounded { background, planes, silhouettes, frames, body, .. } = *grounded;
     let anonymous = ObjectDescription { id: ObjectId(0), class: String::new(), confidence: 1.0 };
     let scale = ScaleEstimate::new(1.0, ScaleMethod::Joint);
-    let trajectory = &assemble(anonymous, background, sub_map, scale, frames, Unit::Background);
+    let trajectory = &assemble(anonymous, background, sub_map, scale, frames);
     FittedBody::of(&Subject { trajectory, object: sub_map, background, planes, silhouettes, options }, body, known)
 }
 

@@ -38,9 +38,6 @@ struct Filtered {
     log_likelihood: f64,
 }
 
-/// The first observations, which the wide first state leaves open, say nothing of the likelihood.
-const BURN_IN: usize = 3;
-
 fn filter(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<Filtered> {
     let mut found = Filtered { predicted: Vec::new(), updated: Vec::new(), log_likelihood: 0.0 };
     let mut state = first.clone();
@@ -57,7 +54,8 @@ fn filter(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option
         let cholesky = spread.cholesky()?;
         let half = &step.observation * &state.covariance;
         let gain = cholesky.solve(&half).transpose();
-        if k >= BURN_IN {
+        // The first observations, which the wide first state leaves open, say nothing of the likelihood.
+        if k >= 3 {
             let determinant: f64 = cholesky.l_dirty().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
             found.log_likelihood -= 0.5 * (innovation.dot(&cholesky.solve(&innovation)) + determinant);
         }

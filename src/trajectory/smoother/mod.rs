@@ -62,41 +62,20 @@ pub struct CommonStd {
     pub scale: f64,
 }
 
-/// Fewest sightings that have a motion.
-const MIN_SIGHTINGS: usize = 4;
 /// Errors of positions as shares of the distance to the camera: along the line of sight and across it, new in every
 /// frame; and along it and across it, wandering. Chosen on fifteen rendered sequences; docs/maths/smoother.md.
 const ALONG: f64 = 5e-4;
 const ACROSS: f64 = 1e-4;
 pub(super) const DRIFT: f64 = 1.5e-3;
 const DRIFT_ACROSS: f64 = 1.2e-3;
-/// Times after which these have forgotten where they were, seconds.
-const DRIFT_S: [f64; 4] = [1.0, 3.0, 3.0, 3.0];
-/// The same with the error of the scale ratio, which stays.
-const DRIFT_WITH_RATIO_S: [f64; 5] = [1.0, 3.0, 3.0, 3.0, f64::INFINITY];
-/// First position, speed and acceleration: metres, m/s, m/s².
-const FIRST: [f64; 3] = [10.0, 40.0, 5.0];
-/// Spectral density of the jerk of a vehicle in traffic, m²/s⁵, and its vertical part.
-const JERK: f64 = 1.0;
-const VERTICAL: f64 = 0.1;
-/// Deviation of the speed of a vehicle that stands, m/s.
-const REST: f64 = 0.02;
-/// Errors of headings, radians: new in every frame, and wandering.
-const YAW: f64 = 1e-3;
-const YAW_WANDER: f64 = 1e-2;
-const YAW_WANDER_S: [f64; 1] = [1.0];
-/// First heading, yaw rate and its change: radians, rad/s, rad/s².
-const FIRST_YAW: [f64; 3] = [1.0, 1.0, 1.0];
-/// Spectral density of the third derivative of the heading, rad²/s⁵.
-const YAW_JERK: f64 = 0.05;
+/// Positions of a vehicle in traffic: metres, m/s, m/s², m²/s⁵.
+const MOVING: Kind = Kind { first: [10.0, 40.0, 5.0], usual_jerk: 1.0, last_axis: 0.1, drift_s: &[1.0, 3.0, 3.0, 3.0] };
+/// Headings: radians, rad/s, rad/s², rad²/s⁵.
+const HEADING: Kind = Kind { first: [1.0, 1.0, 1.0], usual_jerk: 0.05, last_axis: 1.0, drift_s: &[1.0] };
 /// Deviation of the forward axis of a model that went far, radians: the same in all frames.
 const FORWARD: f64 = 0.02;
 /// Standard deviations by which a speed or a displacement must differ from zero to show a heading.
 const CLEAR: f64 = 3.0;
-/// Largest error of the scale ratio, in its standard deviations, that explains the path of a vehicle at rest. It is
-/// where lengths corrected for noise ([`travel`]) become positive: what is taken for rest up to here has no length in
-/// motion either, so that a vehicle at any speed keeps its coverage.
-const RATIO_OFF: f64 = 1.0;
 
 /// A vehicle's motion, metres and seconds.
 #[derive(Clone, Debug, PartialEq)]
@@ -119,12 +98,11 @@ pub struct Smoothed {
 ///
 /// A vehicle at rest is recognized by its positions alone, by the likelihood of rest and of motion.
 pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: Movement) -> Option<Smoothed> {
-    if sightings.len() < MIN_SIGHTINGS || !sightings.iter().all(PositionMeasurement::is_usable) {
+    if sightings.len() < 4 || !sightings.iter().all(PositionMeasurement::is_usable) {
         return None;
     }
     let origin = sightings[0].position_m;
-    let moving = Kind { first: FIRST, usual_jerk: JERK, last_axis: VERTICAL, drift_s: &DRIFT_S };
-    let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &moving)?;
+    let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &MOVING)?;
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
     let response = |errors: Vec<DVector<f64>>| in_motion.response(&errors);
@@ -136,7 +114,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
     // standard deviation.
     let is_coarse = sightings.iter().any(|s| matches!(s.error, PositionError::Contact(_)));
     let may_rest = !is_coarse && movement != Movement::Moving;
-    let rest = may_rest.then(|| at_rest(sightings, &origin, common.ratio, &moving)).flatten();
+    let rest = may_rest.then(|| at_rest(sightings, &origin, common.ratio)).flatten();
     let stands = rest.is_some();
     let positions = rest.unwrap_or(in_motion);
     let forward_std = forward_std(sightings, common.ratio).filter(|_| !stands);
@@ -158,14 +136,17 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
 ///
 /// An error of the ratio takes a vehicle at rest along with the camera, by that share of the camera's path. It is a
 /// state of both hypotheses, or else no vehicle that a moving camera sees would ever be at rest.
-fn at_rest(sightings: &[PositionMeasurement], origin: &Vector3<f64>, ratio: f64, moving: &Kind) -> Option<Track> {
+fn at_rest(sightings: &[PositionMeasurement], origin: &Vector3<f64>, ratio: f64) -> Option<Track> {
     let observed: Vec<Observed> =
         sightings.iter().map(|s| s.observed(origin).with_common(&s.common_error(ratio))).collect();
-    let moving = Kind { drift_s: &DRIFT_WITH_RATIO_S, ..*moving };
-    let rest = moving.at_rest(REST);
+    // The error of the ratio stays.
+    let moving = Kind { drift_s: &[1.0, 3.0, 3.0, 3.0, f64::INFINITY], ..MOVING };
+    let rest = moving.at_rest(0.02);
     let found = is_at_rest(&observed, &moving, &rest).then(|| track(&observed, &rest))??;
     let last = found.states.last()?;
-    (last.mean[last.mean.len() - 1].abs() <= RATIO_OFF).then_some(found)
+    // One standard deviation is where lengths corrected for noise ([`travel`]) become positive: what is taken for rest
+    // up to here has no length in motion either, so that a vehicle at any speed keeps its coverage.
+    (last.mean[last.mean.len() - 1].abs() <= 1.0).then_some(found)
 }
 
 impl PositionMeasurement {
@@ -270,11 +251,11 @@ fn headings(sightings: &[PositionMeasurement]) -> Option<Track> {
         observed.push(Observed {
             time_s: sighting.time_s,
             value: DVector::from_element(1, unwrapped),
-            noise: DMatrix::from_element(1, 1, YAW * YAW),
-            drift: DMatrix::from_element(1, 1, YAW_WANDER),
+            noise: DMatrix::from_element(1, 1, 1e-6),
+            drift: DMatrix::from_element(1, 1, 1e-2),
         });
     }
-    track(&observed, &Kind { first: FIRST_YAW, usual_jerk: YAW_JERK, last_axis: 1.0, drift_s: &YAW_WANDER_S })
+    track(&observed, &HEADING)
 }
 
 /// Everything that was smoothed.
@@ -287,14 +268,6 @@ struct Tracks<'a> {
     headings: Option<Track>,
     forward_std: f64,
     scale_std: f64,
-}
-
-/// A heading: where it points, radians to the left of the first axis, and the rate, with their deviations.
-#[derive(Clone, Copy)]
-struct Heading {
-    yaw: f64,
-    std: f64,
-    rate: Option<[f64; 2]>,
 }
 
 impl Tracks<'_> {
@@ -318,10 +291,10 @@ impl Tracks<'_> {
             raw_speed_m_s: if raw.dot(&direction) < 0.0 { -raw.norm() } else { raw.norm() },
             acceleration_m_s2,
             acceleration_std_m_s2,
-            heading_deg: heading.map(|h| (90.0 - h.yaw.to_degrees()).rem_euclid(360.0)),
-            heading_std_deg: heading.map(|h| h.std.to_degrees()),
-            yaw_rate_deg_s: heading.and_then(|h| h.rate).map(|[rate, _]| -rate.to_degrees()),
-            yaw_rate_std_deg_s: heading.and_then(|h| h.rate).map(|[_, std]| std.to_degrees()),
+            heading_deg: heading.map(|([yaw, _], _)| (90.0 - yaw.to_degrees()).rem_euclid(360.0)),
+            heading_std_deg: heading.map(|([_, std], _)| std.to_degrees()),
+            yaw_rate_deg_s: heading.and_then(|(_, rate)| rate).map(|[rate, _]| -rate.to_degrees()),
+            yaw_rate_std_deg_s: heading.and_then(|(_, rate)| rate).map(|[_, std]| std.to_degrees()),
         }
     }
 
@@ -345,25 +318,17 @@ impl Tracks<'_> {
         Vector3::new(level * cos, level * sin, forward.z)
     }
 
-    /// By the model; without it by the motion, where that is clear.
-    fn heading(&self, k: usize, velocity: &Vector3<f64>, speed_std: f64) -> Option<Heading> {
+    /// Where it points, radians to the left of the first axis, and the rate, each with its standard deviation: by the
+    /// model; without it by the motion, where that is clear.
+    fn heading(&self, k: usize, velocity: &Vector3<f64>, speed_std: f64) -> Option<([f64; 2], Option<[f64; 2]>)> {
         if let Some(Track { states, .. }) = &self.headings {
             let std = |i: usize| states[k].covariance[(i, i)].max(0.0).sqrt();
-            let rate = Some([states[k].mean[1], std(1)]);
-            return Some(Heading { yaw: states[k].mean[0], std: std(0).hypot(self.forward_std), rate });
+            return Some(([states[k].mean[0], std(0).hypot(self.forward_std)], Some([states[k].mean[1], std(1)])));
         }
         let level = velocity.xy().norm();
-        (level > CLEAR * speed_std).then(|| Heading {
-            yaw: velocity.y.atan2(velocity.x),
-            std: self.sideways_std(k, velocity) / level,
-            rate: None,
-        })
-    }
-
-    /// Deviation of the velocity across itself, m/s.
-    fn sideways_std(&self, k: usize, velocity: &Vector3<f64>) -> f64 {
         let across = Vector3::new(-velocity.y, velocity.x, 0.0).try_normalize(1e-9).unwrap_or_else(Vector3::y);
-        self.std(k, 3, &across, velocity)
+        let std = self.std(k, 3, &across, velocity) / level;
+        (level > CLEAR * speed_std).then(|| ([velocity.y.atan2(velocity.x), std], None))
     }
 
     /// Between the neighbouring positions, m/s.

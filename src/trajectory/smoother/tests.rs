@@ -255,7 +255,7 @@ fn drive(speed_m_s: f64, common: &CommonStd, seed: u64) -> Vec<PositionMeasureme
         let camera_m = Vector3::new(5.0 * time_s - 8.0, -12.0, 2.0);
         let ray = Vector3::new(speed_m_s * time_s, 0.0, 0.7) - camera_m;
         let (distance, sight) = (ray.norm(), ray.normalize());
-        for (error, memory_s) in drift.iter_mut().zip(DRIFT_S) {
+        for (error, memory_s) in drift.iter_mut().zip(MOVING.drift_s) {
             let kept = (-0.1f64 / memory_s).exp();
             *error = kept * *error + (1.0 - kept * kept).sqrt() * normal();
         }

@@ -61,18 +61,10 @@ pub(super) struct Track {
     steps: Vec<Step>,
 }
 
-/// Jerks that are tried, as multiples of the usual one.
-const JERKS: [f64; 11] = [1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
-/// Errors that are tried, as multiples of those that are stated.
-const NOISES: [f64; 7] = [0.5, 0.7, 1.0, 2.0, 4.0, 8.0, 16.0];
-/// Standard deviations of the logarithms of both, before anything is observed.
-const PRIOR: [f64; 2] = [2.3, 1.1];
 /// Observations that are rated at most.
 const MAX_RATED: usize = 400;
 /// Degrees of freedom of Student's distribution, whose tails jumps are expected to come from.
 const STUDENT: f64 = 4.0;
-/// Passes over the weights against jumps.
-const PASSES: usize = 4;
 
 impl Kind {
     /// A quantity of so many axes that stays as it is, but for a drift that nobody would notice.
@@ -137,7 +129,8 @@ impl Kind {
     fn posterior(&self, all: &[Observed], weights: &[f64], level: Level) -> Option<f64> {
         let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
         let likelihood = chain::log_likelihood(&self.first(&all[0]), &self.steps(all, weights, level), &values)?;
-        let off = [(level.jerk / self.usual_jerk).ln() / PRIOR[0], level.noise.ln() / PRIOR[1]];
+        // In standard deviations, before anything is observed.
+        let off = [(level.jerk / self.usual_jerk).ln() / 2.3, level.noise.ln() / 1.1];
         Some(likelihood - 0.5 * (off[0] * off[0] + off[1] * off[1]))
     }
 
@@ -146,16 +139,15 @@ impl Kind {
         let from = all.len().saturating_sub(MAX_RATED) / 2;
         let until = all.len().min(from + MAX_RATED);
         let (all, weights) = (&all[from..until], &weights[from..until]);
-        let best = |levels: Vec<Level>| {
-            let rated = levels.into_iter().filter_map(|level| Some((self.posterior(all, weights, level)?, level)));
+        let best = |levels: &mut dyn Iterator<Item = Level>| {
+            let rated = levels.filter_map(|level| Some((self.posterior(all, weights, level)?, level)));
             rated.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(start, |(_, level)| level)
         };
-        let jerks = |noise: f64| JERKS.iter().map(|m| Level { jerk: m * self.usual_jerk, noise }).collect();
-        let noises = |jerk: f64| NOISES.iter().map(|noise| Level { jerk, noise: *noise }).collect();
+        let multiples = [1e-3, 3e-3, 1e-2, 3e-2, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0];
         let mut level = start;
         for _ in 0..2 {
-            level = best(noises(level.jerk));
-            level = best(jerks(level.noise));
+            level = best(&mut [0.5, 0.7, 1.0, 2.0, 4.0, 8.0, 16.0].map(|noise| Level { noise, ..level }).into_iter());
+            level = best(&mut multiples.map(|m| Level { jerk: m * self.usual_jerk, ..level }).into_iter());
         }
         level
     }
@@ -167,7 +159,7 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
     let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
     let mut weights = vec![1.0; all.len()];
     let mut level = Level { jerk: kind.usual_jerk, noise: 1.0 };
-    for pass in 0..PASSES {
+    for pass in 0..4 {
         // A jump is seen against a motion that is usual, before the motion is made to follow it.
         if pass > 1 {
             level = kind.best_level(all, &weights, level);

@@ -22,38 +22,27 @@ pub(super) struct Class {
     pub(super) longest_in_heights: f64,
 }
 
-const fn class(
-    name: &'static str,
-    height_m: f64,
-    heights_m: [f64; 2],
-    lengths_m: [f64; 2],
-    longest_in_heights: f64,
-) -> Class {
-    Class { name, height_m, heights_m, lengths_m, longest_in_heights }
-}
-
-const CAR: Class = class("car", 1.53, [1.15, 2.1], [2.5, 5.8], 5.0);
-const VAN: Class = class("van", 2.21, [1.6, 3.1], [3.6, 7.5], 4.7);
-// Detectors call pickups lorries, too.
-const LORRY: Class = class("lorry", 2.6, [1.6, 4.0], [4.5, 18.75], 6.3);
-const BUS: Class = class("bus", 3.1, [2.3, 4.4], [5.5, 18.75], 6.5);
-const CYCLE: Class = class("two-wheeler", 1.6, [0.9, 2.1], [1.4, 2.7], 3.0);
-const TRAM: Class = class("tram", 3.53, [2.8, 4.6], [8.0, 400.0], 133.0);
-const PERSON: Class = class("person", 1.7, [0.9, 2.1], [0.3, 1.2], 1.2);
-/// Whatever drives.
-const VEHICLE: Class = class("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75], 6.5);
-
 /// Typical sizes of a class, by its name in a detector's list.
 pub(super) fn of(name: &str) -> Class {
+    let class = |name, height_m, heights_m, lengths_m, longest_in_heights| Class {
+        name,
+        height_m,
+        heights_m,
+        lengths_m,
+        longest_in_heights,
+    };
     match name {
-        "car" => CAR,
-        "van" => VAN,
-        "truck" | "lorry" | "trailer" | "caravan" => LORRY,
-        "bus" => BUS,
-        "motorcycle" | "motor" | "motorbike" | "bicycle" | "rider" => CYCLE,
-        "train" | "tram" => TRAM,
-        "person" | "pedestrian" | "people" => PERSON,
-        _ => VEHICLE,
+        "car" => class("car", 1.53, [1.15, 2.1], [2.5, 5.8], 5.0),
+        "van" => class("van", 2.21, [1.6, 3.1], [3.6, 7.5], 4.7),
+        // Detectors call pickups lorries, too.
+        "truck" | "lorry" | "trailer" | "caravan" => class("lorry", 2.6, [1.6, 4.0], [4.5, 18.75], 6.3),
+        "bus" => class("bus", 3.1, [2.3, 4.4], [5.5, 18.75], 6.5),
+        "motorcycle" | "motor" | "motorbike" | "bicycle" | "rider" => {
+            class("two-wheeler", 1.6, [0.9, 2.1], [1.4, 2.7], 3.0)
+        }
+        "train" | "tram" => class("tram", 3.53, [2.8, 4.6], [8.0, 400.0], 133.0),
+        "person" | "pedestrian" | "people" => class("person", 1.7, [0.9, 2.1], [0.3, 1.2], 1.2),
+        _ => class("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75], 6.5),
     }
 }
 

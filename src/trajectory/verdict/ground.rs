@@ -1,26 +1,17 @@
 //! Contact of the vehicle with the ground, and its constancy.
 
-use super::{Measures, percent};
+use super::{Measures, graded, percent};
 use crate::scene::Reason;
 use crate::scene::ReasonKind::Ground;
-
-/// Height of its lowest points over the ground, as a share of the height of its top: from where on it floats, and from
-/// where on nothing that is left can be a vehicle. Of one that is seen above its sills alone a third is missing.
-const FLOATS: [f64; 2] = [0.6, 0.75];
-/// Depth of its lowest points below the ground, likewise.
-const SINKS: [f64; 2] = [0.25, 0.6];
-/// Standard deviations of the ground's height that are no finding: a vehicle of 1.5 m below a drone at 100 m, whose
-/// ground is known to a meter, may seem to float by as much as it is high.
-const UNSURE: f64 = 2.0;
-/// Spread of its height over the ground from frame to frame, as a share of the height of its top.
-const WANDERS: [f64; 2] = [0.08, 0.5];
 
 /// * `level` – height of the planes over those around it, which were moved to where the vehicle stands.
 pub(super) fn reasons(measures: &Measures, level: Option<f64>) -> Vec<Reason> {
     let Some(height) = measures.height else {
         return vec![Reason::doubts(Ground, 1.0, "no ground plane below it in any frame")];
     };
-    let unsure = UNSURE * measures.ground_std;
+    // Two standard deviations of the ground's height are no finding: a vehicle of 1.5 m below a drone at 100 m, whose
+    // ground is known to a meter, may seem to float by as much as it is high.
+    let unsure = 2.0 * measures.ground_std;
     if !(height > 0.0) {
         let says = "all of its points are below the ground";
         let is_refuted = !(height > -unsure);
@@ -39,18 +30,12 @@ pub(super) fn reasons(measures: &Measures, level: Option<f64>) -> Vec<Reason> {
 fn stands(bottom: f64, unsure: f64) -> Option<Reason> {
     let floats = || format!("floats: lowest points {} of its height above the ground", percent(bottom));
     let sinks = || format!("sinks: lowest points {} of its height below the ground", percent(-bottom));
+    let stands = || format!("on the ground: lowest points at {} of its height", percent(bottom));
     // As far towards the ground as it may be.
-    match bottom.signum() * (bottom.abs() - unsure).max(0.0) {
-        b if !b.is_finite() => None,
-        b if b > FLOATS[1] => Some(Reason::refutes(Ground, floats())),
-        b if b > FLOATS[0] => Some(Reason::doubts(Ground, 1.0, floats())),
-        b if b < -SINKS[1] => Some(Reason::refutes(Ground, sinks())),
-        b if b < -SINKS[0] => Some(Reason::doubts(Ground, 1.0, sinks())),
-        _ => {
-            let says = format!("on the ground: lowest points at {} of its height", percent(bottom));
-            Some(Reason::supports(Ground, says))
-        }
-    }
+    let nearest = bottom.signum() * (bottom.abs() - unsure).max(0.0);
+    // Of a vehicle that is seen above its sills alone a third is missing.
+    let off = graded(Ground, nearest, [0.6, 0.75], floats).or_else(|| graded(Ground, -nearest, [0.25, 0.6], sinks));
+    nearest.is_finite().then(|| off.unwrap_or_else(|| Reason::supports(Ground, stands())))
 }
 
 /// * `level` – height of the ground below it over the ground around it, in heights of its top.
@@ -65,11 +50,7 @@ fn levelled(level: f64) -> Reason {
 /// * `spread` – of its height over the ground along the path, in heights of its top.
 fn stays(spread: f64) -> Option<Reason> {
     let said = || format!("height above ground varies by {} of its height (standard deviation)", percent(spread));
-    match spread {
-        s if s > WANDERS[1] => Some(Reason::refutes(Ground, said())),
-        s if s > WANDERS[0] => Some(Reason::doubts(Ground, 1.0, said())),
-        _ => None,
-    }
+    graded(Ground, spread, [0.08, 0.5], said)
 }
 
 /// Standard deviation; `None` for fewer than three.

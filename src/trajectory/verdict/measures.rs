@@ -1,27 +1,19 @@
 //! Measures of a trajectory, computed once for all checks.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Point3, Vector3};
 
 use super::Candidate;
 use crate::math::{median, quantile};
-use crate::scene::{FrameId, GroundPlane, Image, ObjectPose, Reconstruction};
+use crate::scene::{FrameId, GroundPlane, Image, ImageId, ObjectPose, Reconstruction, Rect};
+use crate::trajectory::assemble::HALF_WINDOW_S;
 use crate::trajectory::heading::forward_axis;
 use crate::trajectory::object_center;
+use crate::trajectory::views::common_height_std;
 
-/// Of the points over the ground, the share that lies below what counts as the vehicle's top.
-const TOP: f64 = 0.95;
-/// The same for its bottom: a few points stray below it.
+/// Of the points over the ground, the share that lies below the vehicle's bottom: a few stray.
 const BOTTOM: f64 = 0.02;
-/// The same for its length: points beyond are strays.
-const EXTENT: f64 = 0.95;
-/// Standard deviation of a plane's own height, as a share of that of the vehicle's top, beyond which it cannot tell
-/// whether this one rises or sinks.
-const KNOWN: f64 = 0.08;
-/// Half of the time over which a path is smoothed, seconds, and the least number of neighbours on either side.
-const HALF_WINDOW_S: f64 = 0.5;
-const LEAST_NEIGHBOURS: usize = 2;
+/// The share that lies below its top, and within its length.
+const MOST: f64 = 0.95;
 
 /// Measures of a trajectory. Lengths are in units of the background; an unknown one is `None`.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -74,7 +66,7 @@ pub(super) struct Jump {
 impl Measures {
     pub(super) fn of(candidate: &Candidate) -> Self {
         let (poses, object) = (&candidate.trajectory.poses, candidate.object);
-        let points: Vec<Point3<f64>> = finite_points(object);
+        let points = object.finite_positions();
         let over_ground = over_ground(candidate, &points);
         let column = |k: usize| over_ground.iter().map(|(_, heights)| heights[k]).collect::<Vec<f64>>();
         let height = median(column(2));
@@ -84,7 +76,7 @@ impl Measures {
         Self {
             height,
             bottom: median(column(0)),
-            ground_std: ground_std(candidate),
+            ground_std: common_height_std(poses.iter().filter_map(|pose| candidate.planes.get(&pose.frame))),
             middles: middles(candidate, &over_ground, height.unwrap_or(0.0)),
             length: length(&points).map(|length| length * candidate.trajectory.scale.ratio),
             stretch: length(&points).and_then(|length| stretch(object, length)),
@@ -108,25 +100,15 @@ impl Measures {
     }
 }
 
-fn finite_points(object: &Reconstruction) -> Vec<Point3<f64>> {
-    let points = object.points.values().map(|point| point.position);
-    points.filter(|point| point.coords.iter().all(|x| x.is_finite())).collect()
-}
-
 /// Heights of bottom, middle and top over the ground, for every frame with a plane.
 fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [f64; 3])> {
     let of_frame = |pose: &ObjectPose| {
         let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
         let mut heights = heights(plane, pose, points);
-        let [bottom, middle, top] = [BOTTOM, 0.5, TOP].map(|share| finite_quantile(&mut heights, share));
+        let [bottom, middle, top] = [BOTTOM, 0.5, MOST].map(|share| finite_quantile(&mut heights, share));
         Some((pose.frame, [bottom?, middle?, top?]))
     };
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
-}
-
-fn ground_std(candidate: &Candidate) -> f64 {
-    let planes = candidate.trajectory.poses.iter().filter_map(|pose| candidate.planes.get(&pose.frame));
-    median(planes.map(|plane| plane.common_height_std).filter(|std| std.is_finite()).collect()).unwrap_or(0.0)
 }
 
 /// Height of a vehicle's bottom over a plane; `None` without points.
@@ -135,18 +117,18 @@ pub(in crate::trajectory) fn bottom_height(
     pose: &ObjectPose,
     object: &Reconstruction,
 ) -> Option<f64> {
-    finite_quantile(&mut heights(plane, pose, &finite_points(object)), BOTTOM)
+    finite_quantile(&mut heights(plane, pose, &object.finite_positions()), BOTTOM)
 }
 
 fn heights(plane: &GroundPlane, pose: &ObjectPose, points: &[Point3<f64>]) -> Vec<f64> {
     points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect()
 }
 
-/// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known well
-/// enough.
+/// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known to a
+/// small share of the height of its top.
 fn middles(candidate: &Candidate, over_ground: &[(FrameId, [f64; 3])], height: f64) -> Vec<f64> {
     let own_std = |frame: &FrameId| candidate.planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
-    let tells = |frame: &FrameId| !(own_std(frame) > KNOWN * height);
+    let tells = |frame: &FrameId| !(own_std(frame) > 0.08 * height);
     over_ground.iter().filter(|(frame, _)| tells(frame)).map(|(_, [_, middle, _])| *middle).collect()
 }
 
@@ -160,27 +142,21 @@ fn length(points: &[Point3<f64>]) -> Option<f64> {
     let along = |axis: usize| median(points.iter().map(|point| point[axis]).collect());
     let middle = Point3::new(along(0)?, along(1)?, along(2)?);
     let mut distances: Vec<f64> = points.iter().map(|point| (point - middle).norm()).collect();
-    Some(2.0 * finite_quantile(&mut distances, EXTENT)?)
+    Some(2.0 * finite_quantile(&mut distances, MOST)?)
 }
 
 /// Longer side of the box round the points that an image sees, pixels; `None` for fewer than three.
 fn longer_side(image: &Image) -> Option<f64> {
-    let seen = || image.observations.iter().filter(|seen| seen.point.is_some()).map(|seen| seen.pixel);
-    let side = |axis: usize| {
-        let (least, most) = seen()
-            .map(|pixel| pixel[axis])
-            .fold((f64::INFINITY, f64::NEG_INFINITY), |(least, most), x| (least.min(x), most.max(x)));
-        most - least
-    };
-    (seen().count() >= 3).then(|| side(0).max(side(1))).filter(|side| side.is_finite())
+    let seen = || image.observations.iter().filter(|seen| seen.point.is_some()).map(|seen| &seen.pixel);
+    let bounds = Rect::around(seen()).filter(|_| seen().count() >= 3)?;
+    Some(bounds.extent_px()).filter(|side| side.is_finite())
 }
 
 fn dip_sine(candidate: &Candidate) -> f64 {
-    let centers: BTreeMap<FrameId, Point3<f64>> =
-        candidate.background.images.iter().map(|(id, image)| (id.frame(), image.cam_from_world.center())).collect();
     let of_frame = |pose: &ObjectPose| {
-        let (plane, center) = (candidate.planes.get(&pose.frame)?, centers.get(&pose.frame)?);
-        let sight = Vector3::from(pose.position) - center.coords;
+        let plane = candidate.planes.get(&pose.frame)?;
+        let image = candidate.background.images.get(&ImageId::from(pose.frame))?;
+        let sight = Vector3::from(pose.position) - image.cam_from_world.center().coords;
         Some((-plane.normal.dot(&sight) / sight.norm()).clamp(0.0, 1.0))
     };
     median(candidate.trajectory.poses.iter().filter_map(of_frame).collect()).unwrap_or(0.0)
@@ -197,11 +173,9 @@ fn stretch(object: &Reconstruction, length: f64) -> Option<f64> {
     median(object.images.values().filter_map(of_image).collect())
 }
 
-/// Every place as the mean of those within half a second of it, taken evenly from both sides.
+/// Every place as the mean of those within half a second of it and its next two, taken evenly from both sides.
 fn smoothed(poses: &[ObjectPose], places: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
-    let near = |i: usize, k: usize| {
-        i.abs_diff(k) <= LEAST_NEIGHBOURS || (poses[i].time_s - poses[k].time_s).abs() <= HALF_WINDOW_S
-    };
+    let near = |i: usize, k: usize| i.abs_diff(k) <= 2 || (poses[i].time_s - poses[k].time_s).abs() <= HALF_WINDOW_S;
     let smooth = |k: usize| {
         let before = (0..k).rev().take_while(|&i| near(i, k)).count();
         let after = (k + 1..places.len()).take_while(|&i| near(i, k)).count();
@@ -243,7 +217,6 @@ fn jump(poses: &[ObjectPose], between: impl Fn(&ObjectPose, &ObjectPose) -> f64)
 
 /// The median speed of all steps that take time.
 fn speed(poses: &[ObjectPose], steps: &[f64]) -> Option<f64> {
-    let times: BTreeMap<usize, f64> =
-        poses.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).enumerate().filter(|(_, t)| *t > 0.0).collect();
-    median(times.iter().map(|(&k, time)| steps[k] / time).filter(|speed| speed.is_finite()).collect())
+    let times = poses.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).zip(steps).filter(|(time, _)| *time > 0.0);
+    median(times.map(|(time, step)| step / time).filter(|speed| speed.is_finite()).collect())
 }

@@ -115,8 +115,6 @@ const SMALL: f64 = 0.25;
 const HALF: f64 = 0.5;
 /// Doubts that sum up to this make a trajectory doubtful.
 const DOUBTFUL: f64 = 1.0;
-/// Doubts that sum up to this rule it out: nothing that is right is odd in so many ways.
-const TOO_MANY_DOUBTS: f64 = 3.0;
 
 /// Verdict from all reasons.
 fn weighed(mut reasons: Vec<Reason>) -> Verdict {
@@ -126,12 +124,22 @@ fn weighed(mut reasons: Vec<Reason>) -> Verdict {
     let has = |finding| reasons.iter().any(|reason| reason.finding == finding);
     let doubt: f64 = reasons.iter().map(|reason| reason.weight).sum();
     let state = match () {
-        () if has(Finding::Refutes) || doubt >= TOO_MANY_DOUBTS - 1e-9 => Trust::Rejected,
+        // Nothing that is right is odd in so many ways.
+        () if has(Finding::Refutes) || doubt >= 3.0 - 1e-9 => Trust::Rejected,
         () if doubt >= DOUBTFUL - 1e-9 => Trust::Doubtful,
         () if has(Finding::Doubts) => Trust::Fair,
         () => Trust::Good,
     };
     Verdict { state, reasons }
+}
+
+/// A doubt where a value exceeds the first limit, a refutation beyond the second; `None` within both.
+fn graded(kind: ReasonKind, value: f64, [doubts, refutes]: [f64; 2], said: impl FnOnce() -> String) -> Option<Reason> {
+    match value {
+        v if v > refutes => Some(Reason::refutes(kind, said())),
+        v if v > doubts => Some(Reason::doubts(kind, 1.0, said())),
+        _ => None,
+    }
 }
 
 /// A multiple, for sentences.

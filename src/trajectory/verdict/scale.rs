@@ -6,17 +6,10 @@ use crate::scene::{Reason, ScaleEstimate, ScaleMethod};
 use crate::trajectory::estimators::std_in_verdict;
 use crate::trajectory::{Options, Views};
 
-/// A relative standard deviation of the scale ratio up to which it counts as well determined.
-pub(super) const GOOD_STD: f64 = 0.03;
-/// The same beyond which it is called weak.
-pub(super) const WEAK_STD: f64 = 0.10;
+/// A relative standard deviation of the scale ratio beyond which it is called weak.
+const WEAK_STD: f64 = 0.10;
 /// Relative standard deviation of a method that gives nothing but its ratio.
 const UNKNOWN_STD: f64 = 0.15;
-/// A method whose own deviation is larger has nothing to say.
-const NOTHING_TO_SAY: f64 = 0.5;
-/// Standard deviations from which on two answers contradict one another, and from which on by far.
-const CONTRADICTS: f64 = 3.0;
-const CONTRADICTS_BY_FAR: f64 = 6.0;
 
 /// Ratio by another method than the one in use.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -30,9 +23,7 @@ pub(super) struct OtherEstimate {
 }
 
 pub(super) fn reasons(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<Reason> {
-    let mut reasons = vec![deviation(scale)];
-    reasons.extend(agreement(scale, &answers(scale, views, options)));
-    reasons
+    [deviation(scale)].into_iter().chain(agreement(scale, &answers(scale, views, options))).collect()
 }
 
 /// Standard deviation of the ratio as a fraction of it.
@@ -48,9 +39,13 @@ pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
     let said = |std: f64| format!("scale uncertainty ±{} (1σ){focal}", percent(std));
     let beyond = |std: f64, limit: f64| format!("{}; limit ±{}", said(std), percent(limit));
     match relative_std(scale) {
-        _ if scale.degenerate => Reason::refutes(Determined, undetermined(scale)),
+        _ if scale.degenerate => {
+            let why = scale.reason.as_deref().unwrap_or("no reason recorded");
+            Reason::refutes(Determined, format!("scale undetermined: {why}"))
+        }
         Some(std) if std > WEAK_STD => Reason::doubts(Deviation, 1.0, beyond(std, WEAK_STD)),
-        Some(std) if std > GOOD_STD => Reason::doubts(Deviation, SMALL, said(std)),
+        // Up to 3 % it counts as well determined.
+        Some(std) if std > 0.03 => Reason::doubts(Deviation, SMALL, said(std)),
         Some(std) => Reason::supports(Deviation, said(std)),
         None => {
             Reason::doubts(Deviation, 1.0, format!("scale uncertainty unknown: {} reports none", scale.method.name()))
@@ -58,25 +53,15 @@ pub(super) fn deviation(scale: &ScaleEstimate) -> Reason {
     }
 }
 
-fn undetermined(scale: &ScaleEstimate) -> String {
-    format!("scale undetermined: {}", scale.reason.as_deref().unwrap_or("no reason recorded"))
-}
-
 /// Ratios by the other methods for the unchanged model, with the standard deviation of each by its own residuals.
 fn answers(scale: &ScaleEstimate, views: &Views, options: &Options) -> Vec<OtherEstimate> {
     let others = scale.alternatives.iter().filter(|(method, _)| **method != scale.method);
     let others = others.filter(|(_, ratio)| ratio.is_finite() && **ratio > 0.0);
-    others
-        .map(|(&method, &ratio)| OtherEstimate { method, ratio, std: own_std(method, ratio, views, options) })
-        .collect()
-}
-
-fn own_std(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> f64 {
-    match std_in_verdict(method, ratio, views, options) {
-        Some(std) if std.is_finite() => std,
-        Some(_) => f64::INFINITY,
-        None => UNKNOWN_STD,
-    }
+    let answer = |(&method, &ratio): (&ScaleMethod, &f64)| {
+        let std = std_in_verdict(method, ratio, views, options).unwrap_or(UNKNOWN_STD);
+        OtherEstimate { method, ratio, std: if std.is_finite() { std } else { f64::INFINITY } }
+    };
+    others.map(answer).collect()
 }
 
 /// Holds the other methods' answers against the one in use.
@@ -86,11 +71,13 @@ pub(super) fn agreement(scale: &ScaleEstimate, answers: &[OtherEstimate]) -> Opt
     // All methods share the focal length, and its error.
     let own = scale.shares.map(|shares| shares.given_focal()).or_else(|| relative_std(scale)).unwrap_or(UNKNOWN_STD);
     let away = |answer: &OtherEstimate| (answer.ratio / scale.ratio).ln().abs() / answer.std.hypot(own);
-    let telling: Vec<&OtherEstimate> = answers.iter().filter(|answer| answer.std < NOTHING_TO_SAY).collect();
+    // One that is less sure has nothing to say.
+    let telling: Vec<&OtherEstimate> = answers.iter().filter(|answer| answer.std < 0.5).collect();
     let beyond = |limit: f64| telling.iter().filter(|answer| away(answer) > limit).count();
     let said: Vec<String> = telling.iter().map(|answer| said(answer, scale.ratio)).collect();
     let said = said.join(", ");
-    match (beyond(CONTRADICTS), beyond(CONTRADICTS_BY_FAR)) {
+    // Beyond three standard deviations two answers contradict one another, beyond six by far.
+    match (beyond(3.0), beyond(6.0)) {
         _ if telling.is_empty() => None,
         (0, _) => {
             let finding = format!("other methods agree within their uncertainties and ±{}: {said}", percent(own));

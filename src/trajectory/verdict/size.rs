@@ -2,57 +2,39 @@
 //! the unit of its length and of its speed, and vehicles are compared with one another.
 
 use super::class::{self, Class};
-use super::{Candidate, Measures, times};
+use super::{Candidate, Measures, graded, times};
 use crate::math::upper_median;
 use crate::scene::ReasonKind::{Shape, Size, Speed};
 use crate::scene::{Finding, Reason, TimeBase};
 
-/// Share of a vehicle's length that its points show at least: from behind only the width is seen.
-const LENGTH_SEEN: f64 = 0.35;
 /// Factor by which stray points may extend the vehicle.
 const STRAYS: f64 = 1.25;
-/// Beyond the limits of its class by this factor, nothing of that class looks so.
-const BY_FAR: f64 = 2.0;
-/// By which factor heights of two vehicles may differ besides what their classes allow: their tops are not seen alike.
-const SEEN_UNALIKE: f64 = 1.3;
-/// Speeds that are rare and that do not occur on roads, metres per second, with a vehicle of typical height.
-const FAST_M_S: f64 = 60.0;
-const IMPOSSIBLE_M_S: f64 = 140.0;
+/// Factors beyond the limits of its class: beyond the second, nothing of that class looks so.
+const BEYOND: [f64; 2] = [1.0, 2.0];
 
 /// Checks the vehicle's length for its height against its class.
 pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
     let ratio = measures.in_heights(measures.length?)?;
-    let least = LENGTH_SEEN * class.lengths_m[0] / class.heights_m[1];
+    // From behind only the width is seen.
+    let least = 0.35 * class.lengths_m[0] / class.heights_m[1];
     let most = STRAYS * class.longest_in_heights;
     let said = format!("length {} times its height", times(ratio));
-    let odd = format!("{said}; expected {} to {} for a {}", times(least), times(most), class.name);
-    Some(match beyond(ratio, least, most) {
-        factor if factor > BY_FAR => Reason::refutes(Shape, odd),
-        factor if factor > 1.0 => Reason::doubts(Shape, 1.0, odd),
-        _ => Reason::supports(Shape, said),
-    })
+    let odd = || format!("{said}; expected {} to {} for a {}", times(least), times(most), class.name);
+    // Factor by which it is outside of the range; 1 or less inside.
+    let beyond = (least / ratio).max(ratio / most);
+    Some(graded(Shape, beyond, BEYOND, odd).unwrap_or_else(|| Reason::supports(Shape, said)))
 }
 
 /// Checks the vehicle's length against its apparent length. A vehicle from behind hides its length, but no more than
 /// that, and the less the further the camera looks down on it.
 pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
-    /// Correct models of few points from above have up to 4.1 (real clips; rendered drives, 26° to 59° down: 2.1).
-    const FROM_ABOVE: f64 = 3.4;
     let stretch = measures.stretch?;
     let from_behind = class.longest_in_heights.min(class.lengths_m[1] / class.height_m);
     let dip_cosine = (1.0 - measures.dip_sine * measures.dip_sine).sqrt();
-    let most = STRAYS * FROM_ABOVE.max((measures.dip_sine + dip_cosine / from_behind).recip());
+    // Correct models of few points from above have up to 4.1 (real clips; rendered drives, 26° to 59° down: 2.1).
+    let most = STRAYS * 3.4_f64.max((measures.dip_sine + dip_cosine / from_behind).recip());
     let odd = || format!("model stretched {} times along the line of sight", times(stretch));
-    match stretch / most {
-        factor if factor > BY_FAR => Some(Reason::refutes(Shape, odd())),
-        factor if factor > 1.0 => Some(Reason::doubts(Shape, 1.0, odd())),
-        _ => None,
-    }
-}
-
-/// By which factor a value lies outside of a range; 1 or less inside.
-fn beyond(value: f64, least: f64, most: f64) -> f64 {
-    (least / value).max(value / most)
+    graded(Shape, stretch / most, BEYOND, odd)
 }
 
 /// Estimate from one vehicle for the size of the others: meters per unit of the background if it has its class's
@@ -109,7 +91,8 @@ pub(super) fn beside_others(k: usize, all: &[Option<Yardstick>]) -> Option<Reaso
 impl Yardstick {
     /// Returns true if another one contradicts it, by what both classes allow to the power of `limit`.
     fn is_off(&self, other: &Self, limit: f64) -> bool {
-        let allowed = self.spread * other.spread * SEEN_UNALIKE;
+        // Besides what their classes allow, their tops are not seen alike.
+        let allowed = self.spread * other.spread * 1.3;
         (other.metres / self.metres).ln().abs() > limit * allowed.ln()
     }
 }
@@ -129,12 +112,9 @@ pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> 
     let heights = measures.in_heights(measures.speed.filter(|_| time_base == TimeBase::Seconds)?)?;
     let speed_m_s = heights * class.height_m;
     let said = format!("speed {} vehicle heights per second", times(heights));
-    let odd = format!("{said}, about {} km/h for a {}", times(3.6 * speed_m_s), class.name);
-    Some(match speed_m_s {
-        v if v > IMPOSSIBLE_M_S => Reason::refutes(Speed, odd),
-        v if v > FAST_M_S => Reason::doubts(Speed, 1.0, odd),
-        _ => Reason::supports(Speed, said),
-    })
+    let odd = || format!("{said}, about {} km/h for a {}", times(3.6 * speed_m_s), class.name);
+    // Speeds that are rare and that do not occur on roads.
+    Some(graded(Speed, speed_m_s, [60.0, 140.0], odd).unwrap_or_else(|| Reason::supports(Speed, said)))
 }
 
 #[cfg(test)]

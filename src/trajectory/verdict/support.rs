@@ -4,21 +4,8 @@ use super::{HALF, Measures, SMALL, percent, times};
 use crate::scene::ReasonKind::{Amount, Detection, Movement as MovementKind, Pixels};
 use crate::scene::{Movement, Outline, Reason, TrackedObject};
 
-/// Points, and frames with a place, below which little can be reported; and below which next to nothing.
-const FEW_POINTS: [usize; 2] = [20, 10];
-const FEW_FRAMES: [usize; 2] = [10, 5];
-/// Share of the frames in which it is seen: with a place in fewer, tracking may have changed from one vehicle to
-/// another.
-const PART: f64 = 0.5;
-/// Longer side in the picture below which a vehicle is a handful of corners, pixels.
-const SMALL_PX: f64 = 20.0;
-/// Mean scores below which a detector is not sure, and from which on it is.
-const UNSURE: f64 = 0.45;
+/// Mean score from which on a detector is sure.
 const SURE: f64 = 0.6;
-/// Expected overlap with the truth below which a mask is poor.
-const POOR_MASKS: f64 = 0.8;
-/// Way, in heights of the vehicle, that something which stands cannot have gone.
-const STANDS_HEIGHTS: f64 = 2.0;
 
 /// Checks the numbers of points and frames.
 ///
@@ -31,8 +18,9 @@ pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<u
         c if c < few => HALF,
         _ => 0.0,
     };
-    let is_part = num_visible.is_some_and(|visible| (num_frames as f64) < PART * visible as f64);
-    let weights = [weight(num_points, FEW_POINTS), weight(num_frames, FEW_FRAMES), if is_part { SMALL } else { 0.0 }];
+    // With a place in few of the frames that show it, tracking may have changed from one vehicle to another.
+    let is_part = num_visible.is_some_and(|visible| 2 * num_frames < visible);
+    let weights = [weight(num_points, [20, 10]), weight(num_frames, [10, 5]), if is_part { SMALL } else { 0.0 }];
     match weights.into_iter().fold(0.0, f64::max) {
         weight if weight > 0.0 => Reason::doubts(Amount, weight, format!("only {said}")),
         _ => Reason::supports(Amount, said),
@@ -43,7 +31,8 @@ pub(super) fn amount(num_points: usize, num_frames: usize, num_visible: Option<u
 pub(super) fn pixels(measures: &Measures) -> Option<Reason> {
     let pixels = measures.pixels?;
     let said = format!("its points span {pixels:.0} px in the image");
-    Some(match pixels < SMALL_PX {
+    // A smaller vehicle is a handful of corners.
+    Some(match pixels < 20.0 {
         true => Reason::doubts(Pixels, HALF, format!("small: {said}")),
         false => Reason::supports(Pixels, said),
     })
@@ -58,9 +47,10 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
     let said = format!("mean detector score {:.0} %; mask source: {found}", 100.0 * tracked.confidence.clamp(0.0, 1.0));
     let by_motion = found.by_motion() > tracked.frames.len() / 4;
     let is_coarse = tracked.outline == Outline::Coarse;
-    let is_poor = tracked.mask_quality.is_some_and(|quality| quality < POOR_MASKS);
+    // Of the expected overlap with the truth.
+    let is_poor = tracked.mask_quality.is_some_and(|quality| quality < 0.8);
     Some(match tracked.confidence {
-        score if score < UNSURE && !by_motion => Reason::doubts(Detection, HALF, format!("low detector score: {said}")),
+        score if score < 0.45 && !by_motion => Reason::doubts(Detection, HALF, format!("low detector score: {said}")),
         _ if is_coarse => Reason::doubts(Detection, HALF, format!("coarse masks, by color only; {said}")),
         _ if is_poor => {
             Reason::doubts(Detection, SMALL, format!("poor masks, by the mask network's own score; {said}"))
@@ -75,7 +65,8 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
 /// * `shows` – whether a path like this one would have shown on points that are followed.
 pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl Fn() -> bool) -> Option<Reason> {
     let heights = measures.in_heights(measures.reach)?;
-    let is_far = heights > STANDS_HEIGHTS;
+    // Something that is stationary cannot have gone so far.
+    let is_far = heights > 2.0;
     let far = format!("{} vehicle heights", times(heights));
     let why = &tracked.movement.reason;
     match tracked.movement.state {

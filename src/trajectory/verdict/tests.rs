@@ -9,7 +9,6 @@ use super::*;
 use crate::math::Rigid3;
 use crate::scene::{
     DetectionCounts, ImageId, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod,
-    Unit,
 };
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 use crate::trajectory::{ObjectDescription, assemble};
@@ -47,7 +46,7 @@ fn car(id: u32, error: f64, options: &drive::Options) -> Car {
     };
     let description = ObjectDescription { id: ObjectId(id), class: "car".into(), confidence: 0.8 };
     let scale = estimate(error * world.ratio, 0.01);
-    let trajectory = assemble(description, &world.background, &world.object, scale, &world.frames, Unit::Background);
+    let trajectory = assemble(description, &world.background, &world.object, scale, &world.frames);
     Car { world, trajectory, tracked, options: Options::default() }
 }
 
@@ -239,7 +238,7 @@ fn a_car_a_tenth_as_large_as_the_others_is_ruled_out() {
     let scale = estimate(0.1 * third.world.ratio, 0.01);
     let description = ObjectDescription { id: ObjectId(3), class: "car".into(), confidence: 0.8 };
     let Drive { background, object, frames, .. } = &third.world;
-    third.trajectory = assemble(description, background, object, scale, frames, Unit::Background);
+    third.trajectory = assemble(description, background, object, scale, frames);
     let verdicts = judge(&cars);
     assert_eq!(finding(&verdicts[2], ReasonKind::Size), Some(Finding::Refutes), "{:#?}", verdicts[2]);
     assert_eq!(finding(&verdicts[0], ReasonKind::Size), Some(Finding::Supports), "{:#?}", verdicts[0]);

@@ -17,15 +17,8 @@ use nalgebra::{Matrix2x3, Matrix3, Point3, Rotation3, Unit, Vector2, Vector3};
 use super::Candidate;
 use crate::scene::{GroundPlane, ImageId, ObjectPose};
 
-/// Length of a piece of the path, as long as a point is typically followed: s, and places in it at least.
-const PIECE_S: f64 = 1.0;
+/// Fewest places in a piece of the path.
 const PIECE_PLACES: usize = 4;
-/// Residual that shows a motion: four times the noise of points that are followed to 0.5 to 0.75 px, pixels.
-const SHOWS_PX: f64 = 3.0;
-/// Share of the ground's inverse depth by which it may be wrong, and its least inverse depth, over the camera's height:
-/// those of `motion`.
-const GROUND_TOLERANCE: f64 = 0.15;
-const HORIZON: f64 = 40.0;
 
 /// A place of the object and the camera that saw it.
 struct PathView {
@@ -44,7 +37,8 @@ pub(super) fn shows(candidate: &Candidate) -> bool {
     let mut pieces: Vec<&[PathView]> = Vec::new();
     let mut rest = sights.as_slice();
     while let Some(first) = rest.first() {
-        let long = rest.iter().position(|sight| sight.time_s - first.time_s >= PIECE_S).unwrap_or(rest.len());
+        // As long as a point is typically followed: a second.
+        let long = rest.iter().position(|sight| sight.time_s - first.time_s >= 1.0).unwrap_or(rest.len());
         let (piece, next) = rest.split_at(long.max(PIECE_PLACES).min(rest.len()));
         pieces.extend((piece.len() >= PIECE_PLACES).then_some(piece));
         rest = next;
@@ -99,7 +93,9 @@ fn piece_shows(piece: &[PathView]) -> bool {
     let residual = |(direction, slope): &(Vector2<f64>, Vector2<f64>)| (row(slope) * found - direction).norm_squared();
     let rms = (seen.iter().map(residual).sum::<f64>() / seen.len().max(1) as f64).sqrt();
     let shift = seen.iter().map(|(_, slope)| slope.norm()).fold(0.0, f64::max);
-    let tolerance = middle.height.map_or(f64::INFINITY, |height| GROUND_TOLERANCE + distance / (HORIZON * height));
+    // Share of the ground's inverse depth by which it may be wrong, and its least inverse depth, as in `motion`.
+    let tolerance = middle.height.map_or(f64::INFINITY, |height| 0.15 + distance / (40.0 * height));
     let beyond = ((found.z - 1.0).abs() - tolerance).max(0.0);
-    middle.focal * rms.max(beyond * shift) >= SHOWS_PX
+    // Four times the noise of points that are followed to 0.5 to 0.75 px.
+    middle.focal * rms.max(beyond * shift) >= 3.0
 }
