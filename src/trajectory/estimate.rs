@@ -115,8 +115,9 @@ fn joined(reasons: &[String]) -> Option<String> {
 /// The answer of an adjustment with the ground, with a verdict, and what the others say of the adjusted reconstruction.
 ///
 /// * `views` – of [`Joint::object`].
-/// * `focal_std` – share of the focal length, where it is not known exactly. One that was 10 % too long put the ratio 4.1
-///   to 17.9 % off the reference ratios of the same reconstructions, on five rendered sequences (root mean square 9.3 %).
+/// * `focal_std` – share of the focal length, where it is not known exactly. One that was 10 % too long put the ratio
+///   4.1 to 17.9 % off the reference ratios of the same reconstructions, on five rendered sequences (root mean square
+///   9.3 %).
 pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, focal_std: Option<f64>) -> ScaleEstimate {
     let mut alternatives = ratios_of(views, options);
     alternatives.insert(ScaleMethod::Joint, found.ratio);

@@ -122,7 +122,7 @@ impl Ray<'_> {
         let up = self.cam_from_world.rotation * self.plane.normal;
         let step = 1e-3 * ray.norm();
         let moved = self.camera.pixel_from_cam(Point3::from(ray - up * step))?;
-        // Straight below the camera, to a degree, every direction leads away from it; the lower edge of the image serves
+        // To a degree straight below the camera every direction leads away from it; the lower edge of the image serves
         // as well.
         let is_steep = up.cross(&ray.normalize()).norm() < 0.02;
         if is_steep { Some(Vector2::y()) } else { (moved - pixel).try_normalize(0.0) }
