@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::geojson::vehicle_properties;
-use super::table::{FACT_COLUMNS, fact_cells, text};
+use super::table::{fact_cells, fact_columns, text};
 use super::{ExportError, Facts, Results};
 use crate::checks::text::with_causes;
 use crate::io::{RunFolder, json as json_file};
@@ -93,7 +93,7 @@ impl Summary {
     /// # Errors
     /// None but those of memory.
     pub fn to_csv(&self) -> Result<Vec<u8>, csv::Error> {
-        let columns = [&BEFORE[..], &FACT_COLUMNS[..], &AFTER[..]].concat();
+        let columns = [&BEFORE[..], &fact_columns(), &AFTER].concat();
         text(&columns, self.rows.iter().map(Row::cells))
     }
 
@@ -180,7 +180,7 @@ impl Row {
         match (&self.facts, &self.unplaced) {
             (Some(facts), _) => cells.extend(fact_cells(facts)),
             (None, unplaced) => {
-                let mut empty = vec![String::new(); FACT_COLUMNS.len()];
+                let mut empty = vec![String::new(); fact_columns().len()];
                 if let Some((id, class)) = unplaced {
                     (empty[0], empty[1]) = (id.to_string(), class.clone());
                 }
@@ -275,7 +275,7 @@ mod tests {
     fn records(summary: &Summary) -> Vec<csv::StringRecord> {
         let text = summary.to_csv().unwrap();
         let mut reader = csv::Reader::from_reader(text.as_slice());
-        assert_eq!(reader.headers().unwrap().len(), BEFORE.len() + FACT_COLUMNS.len() + AFTER.len());
+        assert_eq!(reader.headers().unwrap().len(), BEFORE.len() + fact_columns().len() + AFTER.len());
         reader.records().map(Result::unwrap).collect()
     }
 

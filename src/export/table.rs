@@ -11,133 +11,83 @@ use nalgebra::Point3;
 use super::facts::raw_speed;
 use super::{Clock, ExportError, Facts, RegisteredFrame, Results, Units};
 use crate::io::{IoError, atomic};
-use crate::scene::{
-    Estimate, FrameId, GroundPosition, GroundTrack, MapPlace, MetricPose, Motion, ObjectTrajectory, TimeBase,
-};
+use crate::scene::{Estimate, FrameId, GroundPosition, GroundTrack, MapPlace, MetricPose, ObjectTrajectory, TimeBase};
 
-/// Columns of what is reported of a vehicle as a whole; [`fact_cells`] goes with them.
-pub(super) const FACT_COLUMNS: [&str; 27] = [
-    "vehicle",
-    "class",
-    "confidence",
-    "verdict",
-    "doubt",
-    "frames",
-    "first_frame",
-    "last_frame",
-    "first_time_s",
-    "last_time_s",
-    "duration_s",
-    "path_units",
-    "path_std_units",
-    "path_m",
-    "path_std_m",
-    "displacement_m",
-    "displacement_std_m",
-    "mean_speed_m_s",
-    "mean_speed_std_m_s",
-    "max_speed_m_s",
-    "max_speed_std_m_s",
-    "length_m",
-    "length_std_m",
-    "width_m",
-    "width_std_m",
-    "height_m",
-    "height_std_m",
+/// Name of a column, and its cell in the row of a vehicle.
+type Fact = (&'static str, fn(&Facts) -> String);
+
+/// Columns of what is reported of a vehicle as a whole.
+const FACTS: [Fact; 27] = [
+    ("vehicle", |facts| facts.vehicle.to_string()),
+    ("class", |facts| facts.class.clone()),
+    ("confidence", |facts| facts.confidence.to_string()),
+    ("verdict", |facts| facts.verdict.unwrap_or_default().to_owned()),
+    ("doubt", |facts| facts.doubt.clone().unwrap_or_default()),
+    ("frames", |facts| facts.num_frames.to_string()),
+    ("first_frame", |facts| frame(facts.first_frame)),
+    ("last_frame", |facts| frame(facts.last_frame)),
+    ("first_time_s", |facts| exact(facts.first_time_s)),
+    ("last_time_s", |facts| exact(facts.last_time_s)),
+    ("duration_s", |facts| exact(facts.duration_s)),
+    ("path_units", |facts| exact(facts.path_units)),
+    ("path_std_units", |facts| exact(facts.path_std_units)),
+    ("path_m", |facts| value(facts.path_m)),
+    ("path_std_m", |facts| std(facts.path_m)),
+    ("displacement_m", |facts| value(facts.displacement_m)),
+    ("displacement_std_m", |facts| std(facts.displacement_m)),
+    ("mean_speed_m_s", |facts| value(facts.mean_speed_m_s)),
+    ("mean_speed_std_m_s", |facts| std(facts.mean_speed_m_s)),
+    ("max_speed_m_s", |facts| value(facts.max_speed_m_s)),
+    ("max_speed_std_m_s", |facts| std(facts.max_speed_m_s)),
+    ("length_m", |facts| value(facts.dimensions.length_m)),
+    ("length_std_m", |facts| std(facts.dimensions.length_m)),
+    ("width_m", |facts| value(facts.dimensions.width_m)),
+    ("width_std_m", |facts| std(facts.dimensions.width_m)),
+    ("height_m", |facts| value(facts.dimensions.height_m)),
+    ("height_std_m", |facts| std(facts.dimensions.height_m)),
 ];
 
-const SCALE_COLUMNS: [&str; 5] =
-    ["scale_ratio", "scale_ratio_std", "metres_verdict", "metres_per_unit", "metres_per_unit_std"];
+/// Those of the frames and of the travel, which ground tracks have, too.
+const TRAVEL: [Range<usize>; 2] = [5..8, 10..21];
 
-const POSE_COLUMNS: [&str; 38] = [
-    "vehicle",
-    "class",
-    "frame",
-    "image",
-    "time_s",
-    "date",
-    "x_units",
-    "y_units",
-    "z_units",
-    "speed_units_s",
-    "x_m",
-    "y_m",
-    "z_m",
-    "x_std_m",
-    "y_std_m",
-    "z_std_m",
-    "x_smoothed_m",
-    "y_smoothed_m",
-    "z_smoothed_m",
-    "x_smoothed_std_m",
-    "y_smoothed_std_m",
-    "z_smoothed_std_m",
-    "speed_m_s",
-    "speed_std_m_s",
-    "raw_speed_m_s",
-    "acceleration_m_s2",
-    "acceleration_std_m_s2",
-    "heading_deg",
-    "heading_std_deg",
-    "yaw_rate_deg_s",
-    "yaw_rate_std_deg_s",
-    "distance_to_camera_m",
-    "distance_to_camera_std_m",
-    "longitude",
-    "latitude",
-    "height_m",
-    "place_std_m",
-    "heading_unwrapped_deg",
+/// Columns of metric values.
+const METRIC: [(&str, fn(&MetricPose) -> Option<f64>); 23] = [
+    ("x_m", |pose| Some(pose.position_m[0])),
+    ("y_m", |pose| Some(pose.position_m[1])),
+    ("z_m", |pose| Some(pose.position_m[2])),
+    ("x_std_m", |pose| Some(pose.position_std_m[0])),
+    ("y_std_m", |pose| Some(pose.position_std_m[1])),
+    ("z_std_m", |pose| Some(pose.position_std_m[2])),
+    ("x_smoothed_m", |pose| Some(pose.motion?.smoothed_position_m[0])),
+    ("y_smoothed_m", |pose| Some(pose.motion?.smoothed_position_m[1])),
+    ("z_smoothed_m", |pose| Some(pose.motion?.smoothed_position_m[2])),
+    ("x_smoothed_std_m", |pose| Some(pose.motion?.smoothed_position_std_m[0])),
+    ("y_smoothed_std_m", |pose| Some(pose.motion?.smoothed_position_std_m[1])),
+    ("z_smoothed_std_m", |pose| Some(pose.motion?.smoothed_position_std_m[2])),
+    ("speed_m_s", |pose| Some(pose.motion?.speed_m_s)),
+    ("speed_std_m_s", |pose| Some(pose.motion?.speed_std_m_s)),
+    ("raw_speed_m_s", |pose| Some(pose.motion?.raw_speed_m_s)),
+    ("acceleration_m_s2", |pose| Some(pose.motion?.acceleration_m_s2)),
+    ("acceleration_std_m_s2", |pose| Some(pose.motion?.acceleration_std_m_s2)),
+    ("heading_deg", |pose| pose.motion?.heading_deg),
+    ("heading_std_deg", |pose| pose.motion?.heading_std_deg),
+    ("yaw_rate_deg_s", |pose| pose.motion?.yaw_rate_deg_s),
+    ("yaw_rate_std_deg_s", |pose| pose.motion?.yaw_rate_std_deg_s),
+    ("distance_to_camera_m", |pose| Some(pose.distance_to_camera_m)),
+    ("distance_to_camera_std_m", |pose| Some(pose.distance_to_camera_std_m)),
 ];
 
-/// Columns of the travel in [`FACT_COLUMNS`].
-const TRAVEL_COLUMNS: Range<usize> = 11..21;
-
-/// Columns of a ground track as a whole, before those of its travel.
-const GROUND_TRACK_COLUMNS: [&str; 13] = [
-    "vehicle",
-    "class",
-    "confidence",
-    "method",
-    "verdict",
-    "remark",
-    "reason",
-    "distance_std",
-    "omitted",
-    "frames",
-    "first_frame",
-    "last_frame",
-    "duration_s",
-];
-const CAMERA_COLUMNS: [&str; 21] = [
-    "frame",
-    "image",
-    "time_s",
-    "date",
-    "x_units",
-    "y_units",
-    "z_units",
-    "qw",
-    "qx",
-    "qy",
-    "qz",
-    "focal_x_px",
-    "focal_y_px",
-    "x_m",
-    "y_m",
-    "z_m",
-    "longitude",
-    "latitude",
-    "height_m",
-    "place_std_m",
-    "place_std_up_m",
-];
+/// Columns of a moment, of a position in the background's frame, and of one on the map.
+const MOMENT: [&str; 4] = ["frame", "image", "time_s", "date"];
+const POSITION: [&str; 3] = ["x_units", "y_units", "z_units"];
+const PLACE: [&str; 4] = ["longitude", "latitude", "height_m", "place_std_m"];
 
 /// One row per vehicle.
 pub(super) fn vehicles(path: &Path, results: &Results) -> Result<(), ExportError> {
     let metric = results.trajectories.metric.as_ref();
     let frame = results.metric_frame();
-    let columns = [&FACT_COLUMNS[..], &SCALE_COLUMNS[..]].concat();
+    let of_scale = ["scale_ratio", "scale_ratio_std", "metres_verdict", "metres_per_unit", "metres_per_unit_std"];
+    let columns = [&fact_columns()[..], &of_scale].concat();
     let row = |object: &ObjectTrajectory| {
         let scale = [
             object.scale.ratio.to_string(),
@@ -151,30 +101,19 @@ pub(super) fn vehicles(path: &Path, results: &Results) -> Result<(), ExportError
     write_in(path, results.units, &columns, results.trajectories.objects.iter().map(row))
 }
 
-/// Properties of a vehicle as a whole.
-pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
-    let size = facts.dimensions;
-    let mut cells = vec![
-        facts.vehicle.to_string(),
-        facts.class.clone(),
-        facts.confidence.to_string(),
-        facts.verdict.unwrap_or_default().to_owned(),
-        facts.doubt.clone().unwrap_or_default(),
-        facts.num_frames.to_string(),
-        facts.first_frame.map(|frame| frame.0.to_string()).unwrap_or_default(),
-        facts.last_frame.map(|frame| frame.0.to_string()).unwrap_or_default(),
-        exact(facts.first_time_s),
-        exact(facts.last_time_s),
-        exact(facts.duration_s),
-    ];
-    cells.extend(travel_cells(facts));
-    cells.extend([size.length_m, size.width_m, size.height_m].into_iter().flat_map(estimate));
-    cells
+/// Names of the columns of [`fact_cells`].
+pub(super) fn fact_columns() -> [&'static str; FACTS.len()] {
+    FACTS.map(|(name, _)| name)
 }
 
-fn travel_cells(facts: &Facts) -> impl Iterator<Item = String> {
-    let travel = [facts.path_m, facts.displacement_m, facts.mean_speed_m_s, facts.max_speed_m_s];
-    [facts.path_units, facts.path_std_units].map(exact).into_iter().chain(travel.into_iter().flat_map(estimate))
+/// Properties of a vehicle as a whole.
+pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
+    FACTS.iter().map(|(_, cell)| cell(facts)).collect()
+}
+
+/// The columns that ground tracks have, too.
+fn travel_facts() -> impl Iterator<Item = Fact> {
+    TRAVEL.into_iter().flatten().map(|k| FACTS[k])
 }
 
 /// One row per vehicle and frame.
@@ -185,7 +124,9 @@ pub(super) fn trajectories(path: &Path, results: &Results) -> Result<(), ExportE
         let cells = |(index, heading)| [pose_cells(results, &clock, object, index), vec![heading]].concat();
         headings.enumerate().map(cells).collect::<Vec<_>>()
     });
-    write_in(path, results.units, &POSE_COLUMNS, rows)
+    let (head, speed, heading) = (["vehicle", "class"], ["speed_units_s"], ["heading_unwrapped_deg"]);
+    let columns = [&head[..], &MOMENT, &POSITION, &speed, &metric_columns(), &PLACE, &heading].concat();
+    write_in(path, results.units, &columns, rows)
 }
 
 fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index: usize) -> Vec<String> {
@@ -204,11 +145,11 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
 
 /// One row per ground track.
 pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), ExportError> {
-    let columns = [&GROUND_TRACK_COLUMNS[..], &FACT_COLUMNS[TRAVEL_COLUMNS]].concat();
+    let own = ["vehicle", "class", "confidence", "method", "verdict", "remark", "reason", "distance_std", "omitted"];
+    let columns: Vec<&str> = own.into_iter().chain(travel_facts().map(|(name, _)| name)).collect();
     let row = |track: &GroundTrack| {
         let facts = Facts::of_ground_track(track, results.time_base);
-        let frame = |frame: Option<FrameId>| frame.map(|frame| frame.0.to_string()).unwrap_or_default();
-        let mut cells = vec![
+        let own = [
             facts.vehicle.to_string(),
             facts.class.clone(),
             facts.confidence.to_string(),
@@ -218,13 +159,8 @@ pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), Export
             track.reason.clone(),
             exact(track.verdict.as_ref().map(|verdict| verdict.distance_std)),
             track.omissions().unwrap_or_default(),
-            facts.num_frames.to_string(),
-            frame(facts.first_frame),
-            frame(facts.last_frame),
-            exact(facts.duration_s),
         ];
-        cells.extend(travel_cells(&facts));
-        cells
+        own.into_iter().chain(travel_facts().map(|(_, cell)| cell(&facts))).collect()
     };
     write_in(path, results.units, &columns, results.trajectories.ground_tracks.iter().map(row))
 }
@@ -232,17 +168,14 @@ pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), Export
 /// One row per ground track and frame: the columns of `trajectories.csv`, with the method.
 pub(super) fn ground_positions(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
-    let columns: Vec<&str> = POSE_COLUMNS.iter().copied().filter(|column| !NOT_OF_CONTACTS.contains(column)).collect();
-    let columns = [&columns[..2], &["method"], &columns[2..]].concat();
+    let head = ["vehicle", "class", "method"];
+    let columns = [&head[..], &MOMENT, &POSITION, &metric_columns(), &PLACE].concat();
     let rows = results.trajectories.ground_tracks.iter().flat_map(|track| {
         let clock = &clock;
         track.positions.iter().map(move |position| contact_cells(results, clock, track, position))
     });
     write_in(path, results.units, &columns, rows)
 }
-
-/// Columns that contact points have not.
-const NOT_OF_CONTACTS: [&str; 2] = ["speed_units_s", "heading_unwrapped_deg"];
 
 fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, position: &GroundPosition) -> Vec<String> {
     let place = results.place_of_contact(position);
@@ -255,42 +188,21 @@ fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, position
     cells
 }
 
+fn metric_columns() -> [&'static str; METRIC.len()] {
+    METRIC.map(|(name, _)| name)
+}
+
 /// Metric values.
-fn metric_cells(pose: Option<&MetricPose>) -> Vec<String> {
-    let motion = pose.and_then(|pose| pose.motion);
-    let of_pose = |get: fn(&MetricPose) -> f64| metres(pose.map(get));
-    let of_motion = |get: fn(&Motion) -> Option<f64>| metres(motion.as_ref().and_then(get));
-    vec![
-        of_pose(|p| p.position_m[0]),
-        of_pose(|p| p.position_m[1]),
-        of_pose(|p| p.position_m[2]),
-        of_pose(|p| p.position_std_m[0]),
-        of_pose(|p| p.position_std_m[1]),
-        of_pose(|p| p.position_std_m[2]),
-        of_motion(|m| Some(m.smoothed_position_m[0])),
-        of_motion(|m| Some(m.smoothed_position_m[1])),
-        of_motion(|m| Some(m.smoothed_position_m[2])),
-        of_motion(|m| Some(m.smoothed_position_std_m[0])),
-        of_motion(|m| Some(m.smoothed_position_std_m[1])),
-        of_motion(|m| Some(m.smoothed_position_std_m[2])),
-        of_motion(|m| Some(m.speed_m_s)),
-        of_motion(|m| Some(m.speed_std_m_s)),
-        of_motion(|m| Some(m.raw_speed_m_s)),
-        of_motion(|m| Some(m.acceleration_m_s2)),
-        of_motion(|m| Some(m.acceleration_std_m_s2)),
-        of_motion(|m| m.heading_deg),
-        of_motion(|m| m.heading_std_deg),
-        of_motion(|m| m.yaw_rate_deg_s),
-        of_motion(|m| m.yaw_rate_std_deg_s),
-        of_pose(|p| p.distance_to_camera_m),
-        of_pose(|p| p.distance_to_camera_std_m),
-    ]
+fn metric_cells(pose: Option<&MetricPose>) -> impl Iterator<Item = String> {
+    METRIC.iter().map(move |(_, value)| metres(pose.and_then(value)))
 }
 
 /// One row per frame of the camera.
 pub(super) fn camera(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
-    write_in(path, results.units, &CAMERA_COLUMNS, results.views.iter().map(|view| view_cells(results, &clock, view)))
+    let (pose, metric) = (["qw", "qx", "qy", "qz", "focal_x_px", "focal_y_px"], ["x_m", "y_m", "z_m"]);
+    let columns = [&MOMENT[..], &POSITION, &pose, &metric, &PLACE, &["place_std_up_m"]].concat();
+    write_in(path, results.units, &columns, results.views.iter().map(|view| view_cells(results, &clock, view)))
 }
 
 fn view_cells(results: &Results, clock: &Clock, view: &RegisteredFrame) -> Vec<String> {
@@ -326,8 +238,16 @@ impl Clock {
     }
 }
 
-fn estimate(estimate: Option<Estimate>) -> [String; 2] {
-    [metres(estimate.map(|estimate| estimate.value)), metres(estimate.map(|estimate| estimate.std))]
+fn value(estimate: Option<Estimate>) -> String {
+    metres(estimate.map(|estimate| estimate.value))
+}
+
+fn std(estimate: Option<Estimate>) -> String {
+    metres(estimate.map(|estimate| estimate.std))
+}
+
+fn frame(frame: Option<FrameId>) -> String {
+    frame.map(|frame| frame.0.to_string()).unwrap_or_default()
 }
 
 /// Four decimals.

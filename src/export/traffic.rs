@@ -105,20 +105,6 @@ const TRACK_COLUMNS: [&str; 17] = [
 ];
 const TRACK_META_COLUMNS: [&str; 8] =
     ["recordingId", "trackId", "initialFrame", "finalFrame", "numFrames", "width", "length", "class"];
-const RECORDING_COLUMNS: [&str; 12] = [
-    "recordingId",
-    "locationId",
-    "frameRate",
-    "speedLimit",
-    "weekday",
-    "startTime",
-    "duration",
-    "numTracks",
-    "numVehicles",
-    "numVRUs",
-    "latLocation",
-    "lonLocation",
-];
 /// The only recording of an export.
 const RECORDING: &str = "0";
 
@@ -139,22 +125,23 @@ pub(super) fn write_levelx(folder: &Path, results: &Results) -> Result<(), Expor
     let num_vehicles = samples.iter().filter(is_vehicle).count();
     let times = || results.views.iter().map(|view| view.frame.time_s);
     let duration = times().fold(f64::NEG_INFINITY, f64::max) - times().fold(f64::INFINITY, f64::min);
-    let recording = vec![
-        RECORDING.to_owned(),
-        RECORDING.to_owned(),
+    let recording = [
+        ("recordingId", RECORDING.to_owned()),
+        ("locationId", RECORDING.to_owned()),
         // Times are sums of steps: 9.999999999999991 is 10.
-        ((rate * 1e6).round() / 1e6).to_string(),
-        "-1".to_owned(),
-        String::new(),
-        String::new(),
-        format!("{duration:.3}"),
-        samples.len().to_string(),
-        num_vehicles.to_string(),
-        (samples.len() - num_vehicles).to_string(),
-        place(|origin| origin.latitude),
-        place(|origin| origin.longitude),
+        ("frameRate", ((rate * 1e6).round() / 1e6).to_string()),
+        ("speedLimit", "-1".to_owned()),
+        ("weekday", String::new()),
+        ("startTime", String::new()),
+        ("duration", format!("{duration:.3}")),
+        ("numTracks", samples.len().to_string()),
+        ("numVehicles", num_vehicles.to_string()),
+        ("numVRUs", (samples.len() - num_vehicles).to_string()),
+        ("latLocation", place(|origin| origin.latitude)),
+        ("lonLocation", place(|origin| origin.longitude)),
     ];
-    write_table(&folder.join(ExportFolder::LEVELX_RECORDING), &RECORDING_COLUMNS, [recording].into_iter())
+    let (columns, row): (Vec<&str>, Vec<String>) = recording.into_iter().unzip();
+    write_table(&folder.join(ExportFolder::LEVELX_RECORDING), &columns, [row].into_iter())
 }
 
 /// Frames per second: the inverse of the median step.
