@@ -8,6 +8,7 @@ use std::io::Write;
 use std::path::Path;
 
 use super::results::Fix;
+use super::units::KM_H;
 use super::xml::{self, Xml, element};
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
@@ -17,8 +18,6 @@ use crate::scene::{GroundTrack, ObjectTrajectory};
 
 const NAMESPACES: [(&str, &str); 2] =
     [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
-/// Kilometres per hour in a metre per second.
-const KM_H: f64 = 3.6;
 
 /// Widths of the lines of poses, and of ground tracks.
 const BOLD: &str = "4";

@@ -4,28 +4,17 @@ use std::str::FromStr;
 
 use serde_json::{Map, Value};
 
-/// Unit of speeds.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Speed {
-    #[default]
-    MetersPerSecond,
-    KilometersPerHour,
-    MilesPerHour,
-}
-
-/// Unit of lengths; accelerations follow it.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-enum Length {
-    #[default]
-    Meters,
-    Feet,
-}
-
-/// Units of speeds and lengths in tables.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+/// Units of speeds and lengths in tables: the endings of names, and factors from m/s and m. Accelerations follow lengths.
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
-    speed: Speed,
-    length: Length,
+    speed: (&'static str, f64),
+    length: (&'static str, f64),
+}
+
+impl Default for Units {
+    fn default() -> Self {
+        Self { speed: ("m_s", 1.0), length: ("m", 1.0) }
+    }
 }
 
 /// Feet in a meter; the international foot is exactly 0.3048 m.
@@ -33,7 +22,7 @@ const FEET: f64 = 1.0 / 0.3048;
 /// Miles per hour in a meter per second; the mile is exactly 1609.344 m.
 const MPH: f64 = 3600.0 / 1609.344;
 /// Kilometers per hour in a meter per second.
-const KMH: f64 = 3.6;
+pub(super) const KM_H: f64 = 3.6;
 
 impl FromStr for Units {
     type Err = String;
@@ -43,11 +32,11 @@ impl FromStr for Units {
         let mut units = Self::default();
         for name in text.split(',').map(str::trim) {
             match name {
-                "m/s" => units.speed = Speed::MetersPerSecond,
-                "km/h" => units.speed = Speed::KilometersPerHour,
-                "mph" => units.speed = Speed::MilesPerHour,
-                "m" => units.length = Length::Meters,
-                "ft" => units.length = Length::Feet,
+                "m/s" => units.speed = ("m_s", 1.0),
+                "km/h" => units.speed = ("km_h", KM_H),
+                "mph" => units.speed = ("mph", MPH),
+                "m" => units.length = ("m", 1.0),
+                "ft" => units.length = ("ft", FEET),
                 other => return Err(format!("'{other}': no such unit; expected m/s, km/h or mph, and m or ft")),
             }
         }
@@ -58,16 +47,15 @@ impl FromStr for Units {
 impl Units {
     /// Name of a column in these units, and the factor of its values.
     pub(super) fn column(self, name: &str) -> (String, f64) {
-        let renamed = |ending: &str, unit: &str, factor: f64| {
-            (name.strip_suffix(ending).unwrap_or(name).to_owned() + unit, factor)
-        };
-        match (self.speed, self.length) {
-            (_, Length::Feet) if name.ends_with("_m_s2") => renamed("_m_s2", "_ft_s2", FEET),
-            (Speed::KilometersPerHour, _) if name.ends_with("_m_s") => renamed("_m_s", "_km_h", KMH),
-            (Speed::MilesPerHour, _) if name.ends_with("_m_s") => renamed("_m_s", "_mph", MPH),
-            (_, Length::Feet) if name.ends_with("_m") => renamed("_m", "_ft", FEET),
-            _ => (name.to_owned(), 1.0),
-        }
+        let ((speed, of_speed), (length, of_length)) = (self.speed, self.length);
+        let endings = [
+            ("_m_s2", format!("_{length}_s2"), of_length),
+            ("_m_s", format!("_{speed}"), of_speed),
+            ("_m", format!("_{length}"), of_length),
+        ];
+        let renamed =
+            |(ending, unit, factor): (&str, String, f64)| Some((name.strip_suffix(ending)?.to_owned() + &unit, factor));
+        endings.into_iter().find_map(renamed).unwrap_or_else(|| (name.to_owned(), 1.0))
     }
 
     /// A cell with its number multiplied, four decimals as in meters; other texts stay.
