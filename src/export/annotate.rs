@@ -13,6 +13,7 @@ use nalgebra::{Point2, Point3};
 
 use super::facts::raw_speed;
 use super::results::FRAMES_PER_S;
+use super::units::KM_H;
 use super::write::Pictures;
 use super::{ExportError, RegisteredFrame, Results};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
@@ -45,7 +46,7 @@ pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Resu
         // A frame that cannot be decoded was reported by the run; here it is one picture less.
         let Ok((frame, picture)) = next else { continue };
         pictures.check_size(&picture, results)?;
-        let masks = masks_of(pictures.folder(), &frame, picture.dimensions())?;
+        let masks = masks_of(pictures.folder, &frame, picture.dimensions())?;
         let drawn = annotator.draw(&picture, &frame, &masks)?;
         if encoder.is_none() {
             start_s = results.seconds(frame.time_s);
@@ -55,7 +56,7 @@ pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Resu
         if let Some(encoder) = &mut encoder {
             encoder.add(&drawn, results.seconds(frame.time_s) - start_s).map_err(encode)?;
         }
-        pictures.step();
+        (pictures.on_step)();
     }
     let encoder = encoder.ok_or_else(|| pictures.other("no frame can be decoded"))?;
     encoder.finish().map_err(encode)?;
@@ -231,7 +232,7 @@ impl<'a> Annotator<'a> {
 
 /// `54 ± 2 km/h`.
 fn km_h(motion: &Motion) -> String {
-    format!("{} km/h", with_std(3.6 * motion.speed_m_s, 3.6 * motion.speed_std_m_s))
+    format!("{} km/h", with_std(KM_H * motion.speed_m_s, KM_H * motion.speed_std_m_s))
 }
 
 /// Puts what the masks show in front of what was drawn on the ground.

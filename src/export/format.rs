@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use super::{ExportError, Results};
 
-/// A format, or a set of files that belong together.
+/// A format, or a set of files that belong together; in the order in which they are written.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Format {
     /// Tables: vehicles, vehicles frame by frame, the camera.
@@ -50,50 +50,36 @@ pub enum Need {
 }
 
 impl Format {
-    /// Every format, in the order in which they are written.
-    pub const ALL: [Self; 13] = [
-        Self::Csv,
-        Self::GeoJson,
-        Self::Kml,
-        Self::Gpx,
-        Self::Tum,
-        Self::Kitti,
-        Self::Gltf,
-        Self::Video,
-        Self::Sumo,
-        Self::LevelX,
-        Self::Cot,
-        Self::Colmap,
-        Self::TrajectoriesV2,
+    /// Every format with its name on the command line and its requirement, in the order in which they are written.
+    const TABLE: [(Self, &str, Need); 13] = [
+        (Self::Csv, "csv", Need::Nothing),
+        (Self::GeoJson, "geojson", Need::Map),
+        (Self::Kml, "kml", Need::Map),
+        (Self::Gpx, "gpx", Need::Map),
+        (Self::Tum, "tum", Need::Nothing),
+        (Self::Kitti, "kitti", Need::Nothing),
+        (Self::Gltf, "gltf", Need::Nothing),
+        (Self::Video, "video", Need::Pictures),
+        (Self::Sumo, "sumo", Need::Meters),
+        (Self::LevelX, "levelx", Need::Meters),
+        (Self::Cot, "cot", Need::Map),
+        (Self::Colmap, "colmap", Need::Pictures),
+        (Self::TrajectoriesV2, "trajectories-v2", Need::Nothing),
     ];
+
+    /// Every format, in the order in which they are written.
+    pub fn all() -> [Self; 13] {
+        Self::TABLE.map(|(format, ..)| format)
+    }
 
     /// The name on the command line.
     pub fn name(self) -> &'static str {
-        match self {
-            Self::Csv => "csv",
-            Self::GeoJson => "geojson",
-            Self::Kml => "kml",
-            Self::Gpx => "gpx",
-            Self::Tum => "tum",
-            Self::Kitti => "kitti",
-            Self::Gltf => "gltf",
-            Self::Video => "video",
-            Self::Sumo => "sumo",
-            Self::LevelX => "levelx",
-            Self::Cot => "cot",
-            Self::Colmap => "colmap",
-            Self::TrajectoriesV2 => "trajectories-v2",
-        }
+        Self::TABLE[self as usize].1
     }
 
     /// Requirement.
     pub fn need(self) -> Need {
-        match self {
-            Self::GeoJson | Self::Kml | Self::Gpx | Self::Cot => Need::Map,
-            Self::Sumo | Self::LevelX => Need::Meters,
-            Self::Video | Self::Colmap => Need::Pictures,
-            Self::Csv | Self::Tum | Self::Kitti | Self::Gltf | Self::TrajectoriesV2 => Need::Nothing,
-        }
+        Self::TABLE[self as usize].2
     }
 
     /// Returns true if it can be made of cameras and points alone.
@@ -132,7 +118,7 @@ impl Format {
     /// Which name is none of them, and which there are.
     pub fn listed(list: &str) -> Result<Vec<Self>, String> {
         if list.trim() == "all" {
-            return Ok(Self::ALL.into_iter().filter(|format| *format != Self::TrajectoriesV2).collect());
+            return Ok(Self::all().into_iter().filter(|format| *format != Self::TrajectoriesV2).collect());
         }
         let mut formats = list.split(',').map(str::parse).collect::<Result<Vec<Self>, String>>()?;
         formats.sort_unstable();
@@ -151,9 +137,9 @@ impl FromStr for Format {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::ALL.into_iter().find(|format| format.name() == text.trim());
+        let found = Self::all().into_iter().find(|format| format.name() == text.trim());
         found.ok_or_else(|| {
-            let names = Self::ALL.map(Self::name).join(", ");
+            let names = Self::all().map(Self::name).join(", ");
             format!("'{}': unknown format; expected {names}, or all", text.trim())
         })
     }
@@ -165,8 +151,9 @@ mod tests {
 
     #[test]
     fn lists_are_read_and_unknown_names_are_refused_with_the_list() {
+        assert!(Format::all().is_sorted(), "the table has the order of the formats");
         assert_eq!(Format::listed("video, csv,csv"), Ok(vec![Format::Csv, Format::Video]));
-        assert_eq!(Format::listed("all").unwrap().len(), Format::ALL.len() - 1);
+        assert_eq!(Format::listed("all").unwrap().len(), Format::all().len() - 1);
         assert_eq!(Format::listed("trajectories-v2"), Ok(vec![Format::TrajectoriesV2]));
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();

@@ -335,7 +335,7 @@ fn absent_or(error: IoError, absent: impl FnOnce() -> ExportError) -> ExportErro
 }
 
 /// Content of a file, if it exists.
-fn there<T>(read: Result<T, IoError>) -> Result<Option<T>, IoError> {
+pub(super) fn there<T>(read: Result<T, IoError>) -> Result<Option<T>, IoError> {
     match read {
         Err(error) if error.is_not_found() => Ok(None),
         read => read.map(Some),

@@ -13,6 +13,7 @@ use ::image::codecs::jpeg::JpegEncoder;
 use ::image::{ImageFormat, RgbImage};
 
 use super::annotate::masks_of;
+use super::results::there;
 use super::write::Pictures;
 use super::{ExportError, RegisteredFrame, Results};
 use crate::io::interchange::colmap;
@@ -30,7 +31,7 @@ const MARGIN: f64 = 0.004;
 /// Names that are no file names; an input that is gone or has other pictures; a frame that cannot be decoded.
 pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Result<(), ExportError> {
     check_names(folder, results)?;
-    let standing = standing(pictures.folder())?;
+    let standing = standing(pictures.folder)?;
     let views: BTreeMap<FrameId, &RegisteredFrame> = results.views.iter().map(|view| (view.frame.id, view)).collect();
     let mut missing: BTreeSet<&str> = results.views.iter().map(|view| view.frame.name.as_str()).collect();
     for found in pictures.source()?.frames_at(views.keys().copied().collect())? {
@@ -43,9 +44,9 @@ pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Re
         }
         save(&folder.join(ExportFolder::IMAGES).join(&frame.name), &picture)?;
         let path = folder.join(ExportFolder::MASKS).join(RunFolder::mask_name(&frame));
-        masks::write_mask(&path, &still(pictures.folder(), &view.frame, picture.dimensions(), &standing)?)?;
+        masks::write_mask(&path, &still(pictures.folder, &view.frame, picture.dimensions(), &standing)?)?;
         missing.remove(view.frame.name.as_str());
-        pictures.step();
+        (pictures.on_step)();
     }
     if let Some(name) = missing.first() {
         return Err(pictures.other(format!("{} of its frames are missing, the first: {name}", missing.len())));
@@ -64,10 +65,7 @@ fn check_names(folder: &Path, results: &Results) -> Result<(), ExportError> {
 
 /// The objects that stood still all the time: they belong to the background.
 fn standing(folder: &RunFolder) -> Result<BTreeSet<ObjectId>, ExportError> {
-    let tracked = match folder.read_tracked() {
-        Err(error) if error.is_not_found() => Vec::new(),
-        tracked => tracked?,
-    };
+    let tracked = there(folder.read_tracked())?.unwrap_or_default();
     let still = tracked.iter().filter(|object| object.movement.state == Movement::Stationary);
     Ok(still.map(|object| object.id).collect())
 }

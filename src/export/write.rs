@@ -14,9 +14,9 @@ use crate::video::{Frames, Source};
 
 /// The pictures that the results are of.
 pub struct Pictures<'a> {
-    folder: &'a RunFolder,
+    pub(super) folder: &'a RunFolder,
     source: Result<&'a Source, String>,
-    on_step: &'a dyn Fn(),
+    pub(super) on_step: &'a dyn Fn(),
     frames: Option<BTreeSet<FrameId>>,
 }
 
@@ -43,16 +43,8 @@ impl<'a> Pictures<'a> {
         })
     }
 
-    pub(super) fn folder(&self) -> &RunFolder {
-        self.folder
-    }
-
     pub(super) fn source(&self) -> Result<&'a Source, ExportError> {
         self.source.as_ref().copied().map_err(|reason| ExportError::NoPictures { reason: reason.clone() })
-    }
-
-    pub(super) fn step(&self) {
-        (self.on_step)();
     }
 
     /// Pictures per second, if that is known.
@@ -69,12 +61,11 @@ impl<'a> Pictures<'a> {
 
     /// That a picture is as large as those of the run.
     pub(super) fn check_size(&self, picture: &RgbImage, results: &Results) -> Result<(), ExportError> {
-        let ((width, height), (expected_width, expected_height)) = (picture.dimensions(), results.size);
+        let ((width, height), (wanted_width, wanted_height)) = (picture.dimensions(), results.size);
         match (width, height) == results.size {
             true => Ok(()),
             false => {
-                Err(self
-                    .other(format!("frames of {width}x{height} pixels, expected {expected_width}x{expected_height}")))
+                Err(self.other(format!("frames of {width}x{height} pixels, expected {wanted_width}x{wanted_height}")))
             }
         }
     }
@@ -101,7 +92,7 @@ pub struct SkippedFormat {
 /// Exported files.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Exported {
-    /// In the order of [`Format::ALL`].
+    /// In the order of [`Format::all`].
     pub written: Vec<Written>,
     /// Formats that could not be made of these results.
     pub passed_over: Vec<SkippedFormat>,
@@ -187,53 +178,42 @@ fn one(
 ) -> Result<Vec<PathBuf>, ExportError> {
     use ExportFolder as Names;
     type Writer = fn(&Path, &Results) -> Result<(), ExportError>;
-    let files: &[(&str, Writer, &Results)] = match format {
-        Format::Csv => &[
-            (Names::VEHICLES, table::vehicles, results),
-            (Names::TRAJECTORIES, table::trajectories, sampled),
-            (Names::GROUND_TRACKS, table::ground_tracks, results),
-            (Names::GROUND_POSITIONS, table::ground_positions, sampled),
-            (Names::CAMERA, table::camera, sampled),
-        ],
-        Format::GeoJson => {
-            &[(Names::WAYS_ON_MAP, geojson::ways, results), (Names::PLACES_ON_MAP, geojson::places, sampled)]
-        }
-        Format::Kml => &[(Names::KML, kml::write, sampled)],
-        Format::Gpx => &[(Names::GPX, gpx::write, sampled)],
-        Format::Sumo => &[(Names::SUMO, traffic::write_sumo, sampled)],
-        Format::Cot => &[(Names::COT, cot::write, sampled)],
-        Format::TrajectoriesV2 => &[(Names::TRAJECTORIES_V2, trajectories_v2, results)],
-        Format::Tum => return folder(target, Names::TUM, |path| poses::write_tum(path, sampled)),
-        Format::LevelX => return folder(target, Names::LEVELX, |path| traffic::write_levelx(path, sampled)),
-        Format::Kitti => return folder(target, Names::KITTI, |path| poses::write_kitti(path, sampled)),
-        Format::Gltf => {
-            let models = gltf::models(pictures.folder(), results)?;
-            return file(target, Names::SCENE, |path| gltf::write(path, results, &models));
-        }
-        Format::Video => return file(target, Names::VIDEO, |path| annotate::write(path, results, pictures)),
-        Format::Colmap => return folder(target, Names::COLMAP, |path| workspace::write(path, results, pictures)),
+    let several = |files: &[(&str, Writer, &Results)]| {
+        files.iter().map(|(name, write, of)| target.put_file(name, |path| write(path, of))).collect()
     };
-    files.iter().map(|(name, write, of)| target.put_file(name, |path| write(path, of))).collect()
-}
-
-fn trajectories_v2(path: &Path, results: &Results) -> Result<(), ExportError> {
-    Ok(trajectories::write_version_2(path, &results.trajectories)?)
-}
-
-fn file(
-    target: &Target,
-    name: &str,
-    fill: impl FnOnce(&Path) -> Result<(), ExportError>,
-) -> Result<Vec<PathBuf>, ExportError> {
-    Ok(vec![target.put_file(name, fill)?])
-}
-
-fn folder(
-    target: &Target,
-    name: &str,
-    fill: impl FnOnce(&Path) -> Result<(), ExportError>,
-) -> Result<Vec<PathBuf>, ExportError> {
-    Ok(vec![target.put_folder(name, fill)?])
+    let path = match format {
+        Format::Csv => {
+            return several(&[
+                (Names::VEHICLES, table::vehicles, results),
+                (Names::TRAJECTORIES, table::trajectories, sampled),
+                (Names::GROUND_TRACKS, table::ground_tracks, results),
+                (Names::GROUND_POSITIONS, table::ground_positions, sampled),
+                (Names::CAMERA, table::camera, sampled),
+            ]);
+        }
+        Format::GeoJson => {
+            return several(&[
+                (Names::WAYS_ON_MAP, geojson::ways, results),
+                (Names::PLACES_ON_MAP, geojson::places, sampled),
+            ]);
+        }
+        Format::Kml => target.put_file(Names::KML, |path| kml::write(path, sampled)),
+        Format::Gpx => target.put_file(Names::GPX, |path| gpx::write(path, sampled)),
+        Format::Sumo => target.put_file(Names::SUMO, |path| traffic::write_sumo(path, sampled)),
+        Format::Cot => target.put_file(Names::COT, |path| cot::write(path, sampled)),
+        Format::TrajectoriesV2 => target
+            .put_file(Names::TRAJECTORIES_V2, |path| Ok(trajectories::write_version_2(path, &results.trajectories)?)),
+        Format::Tum => target.put_folder(Names::TUM, |path| poses::write_tum(path, sampled)),
+        Format::LevelX => target.put_folder(Names::LEVELX, |path| traffic::write_levelx(path, sampled)),
+        Format::Kitti => target.put_folder(Names::KITTI, |path| poses::write_kitti(path, sampled)),
+        Format::Gltf => {
+            let models = gltf::models(pictures.folder, results)?;
+            target.put_file(Names::SCENE, |path| gltf::write(path, results, &models))
+        }
+        Format::Video => target.put_file(Names::VIDEO, |path| annotate::write(path, results, pictures)),
+        Format::Colmap => target.put_folder(Names::COLMAP, |path| workspace::write(path, results, pictures)),
+    };
+    Ok(vec![path?])
 }
 
 #[cfg(test)]
@@ -285,10 +265,10 @@ mod tests {
         let into = folder.path().join("exported");
         let all = || {
             let target = || Ok(Target::at(&into, &[("OUT", run.root())])?);
-            write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, target)
+            write(&results, &Format::all(), MissingFormats::ForAll, None, &pictures, target)
         };
         let exported = all().unwrap();
-        assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::ALL.len(), 0));
+        assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::all().len(), 0));
         assert!(exported.written.iter().flat_map(|written| &written.files).all(|file| file.exists()));
         let first = bytes_below(&into);
         all().unwrap();
@@ -331,7 +311,7 @@ mod tests {
         assert!(refused(&[Format::Video]).contains("--input"));
         assert!(!into.exists());
         let exported =
-            write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, || Ok(Target::at(&into, &[])?))
+            write(&results, &Format::all(), MissingFormats::ForAll, None, &pictures, || Ok(Target::at(&into, &[])?))
                 .unwrap();
         let passed: Vec<_> = exported.passed_over.iter().map(|left| left.format).collect();
         assert_eq!(passed, ["geojson", "kml", "gpx", "video", "sumo", "levelx", "cot", "colmap"]);

@@ -17,13 +17,14 @@ use std::path::Path;
 
 use serde_json::{Value, json};
 
+use super::results::there;
 use super::{ExportError, Results};
 use crate::io::{IoError, RunFolder, atomic};
-use crate::scene::{ObjectId, Reconstruction};
+use crate::scene::{ObjectId, ObjectTrajectory, Reconstruction};
 use scene::Scene;
 
 /// `glTF` and the version of its container.
-const MAGIC: [u8; 4] = *b"glTF";
+const MAGIC: &[u8; 4] = b"glTF";
 const CONTAINER_VERSION: u32 = 2;
 const HEADER_BYTES: usize = 12;
 const CHUNK_HEADER_BYTES: usize = 8;
@@ -33,14 +34,10 @@ const CHUNK_HEADER_BYTES: usize = 8;
 /// # Errors
 /// A model that is there and damaged. One that is not there leaves a vehicle without points.
 pub(super) fn models(folder: &RunFolder, results: &Results) -> Result<BTreeMap<ObjectId, Reconstruction>, ExportError> {
-    let mut models = BTreeMap::new();
-    for object in &results.trajectories.objects {
-        match folder.read_object(object.id) {
-            Err(error) if error.is_not_found() => {}
-            model => drop(models.insert(object.id, model?)),
-        }
-    }
-    Ok(models)
+    let model = |object: &ObjectTrajectory| {
+        there(folder.read_object(object.id)).map(|found| found.map(|model| (object.id, model))).transpose()
+    };
+    Ok(results.trajectories.objects.iter().filter_map(model).collect::<Result<_, _>>()?)
 }
 
 /// Writes the scene.
@@ -64,9 +61,7 @@ fn container(path: &Path, document: &Value, buffer: &[u8]) -> Result<Vec<u8>, Ex
         problem: format!("scene of {total} bytes, a .glb file holds at most 4 GiB"),
     };
     let length = |bytes: usize| u32::try_from(bytes).map_err(|_| too_large());
-    let mut bytes = Vec::with_capacity(total);
-    // Writing to a vector cannot fail.
-    let _ = bytes.write_all(&MAGIC);
+    let mut bytes = MAGIC.to_vec();
     for number in [CONTAINER_VERSION, length(total)?] {
         bytes.extend(number.to_le_bytes());
     }
