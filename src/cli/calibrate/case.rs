@@ -37,7 +37,7 @@ impl Setting<'_> {
         let described = Case {
             sequence: sequence.clone(),
             variant: variant.to_string(),
-            kind: variant.kind.name().to_owned(),
+            kind: variant.kind.name(),
             level: variant.level,
             ..Case::default()
         };

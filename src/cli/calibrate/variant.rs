@@ -2,66 +2,43 @@
 
 use std::fmt;
 
+use clap::ValueEnum;
+
+/// Kinds of change, each with its levels.
+type Sweep = (Kind, &'static [f64]);
+
 /// Variants of a calibration: the sequence as it is, with nothing given, shorter, with other seeds, and worse.
-pub(super) const CALIBRATION: [&str; 13] = [
-    "as-it-is",
-    "raw",
-    "frames-30",
-    "frames-15",
-    "seed-1",
-    "seed-2",
-    "blur-1.5",
-    "compression-40",
-    "noise-6",
-    "scale-0.5",
-    "erosion-2",
-    "dilation-2",
-    "jitter-2",
+const CALIBRATION: [Sweep; 11] = [
+    (Kind::AsItIs, &[0.0]),
+    (Kind::Raw, &[0.0]),
+    (Kind::Frames, &[30.0, 15.0]),
+    (Kind::Seed, &[1.0, 2.0]),
+    (Kind::Blur, &[1.5]),
+    (Kind::Compression, &[40.0]),
+    (Kind::Noise, &[6.0]),
+    (Kind::Scale, &[0.5]),
+    (Kind::Erosion, &[2.0]),
+    (Kind::Dilation, &[2.0]),
+    (Kind::Jitter, &[2.0]),
 ];
 
 /// Variants that are swept until the method breaks down.
-pub(super) const BREAKDOWN: [&str; 34] = [
-    "scale-1",
-    "scale-0.7",
-    "scale-0.5",
-    "scale-0.35",
-    "scale-0.25",
-    "scale-0.18",
-    "hidden-0.2",
-    "hidden-0.4",
-    "hidden-0.6",
-    "hidden-0.8",
-    "erosion-1",
-    "erosion-2",
-    "erosion-4",
-    "erosion-8",
-    "dilation-1",
-    "dilation-2",
-    "dilation-4",
-    "dilation-8",
-    "jitter-1",
-    "jitter-2",
-    "jitter-4",
-    "jitter-8",
-    "window-0",
-    "window-20",
-    "window-40",
-    "frames-30",
-    "frames-20",
-    "frames-15",
-    "frames-10",
-    "frames-8",
-    "noise-4",
-    "noise-8",
-    "noise-16",
-    "noise-32",
+const BREAKDOWN: [Sweep; 8] = [
+    (Kind::Scale, &[1.0, 0.7, 0.5, 0.35, 0.25, 0.18]),
+    (Kind::Hidden, &[0.2, 0.4, 0.6, 0.8]),
+    (Kind::Erosion, &[1.0, 2.0, 4.0, 8.0]),
+    (Kind::Dilation, &[1.0, 2.0, 4.0, 8.0]),
+    (Kind::Jitter, &[1.0, 2.0, 4.0, 8.0]),
+    (Kind::Window, &[0.0, 20.0, 40.0]),
+    (Kind::Frames, &[30.0, 20.0, 15.0, 10.0, 8.0]),
+    (Kind::Noise, &[4.0, 8.0, 16.0, 32.0]),
 ];
 
 /// Frames of a window.
 pub(super) const WINDOW: u32 = 20;
 
 /// Kind of change by a variant.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub(super) enum Kind {
     /// Nothing.
     AsItIs,
@@ -92,38 +69,8 @@ pub(super) enum Kind {
 }
 
 impl Kind {
-    const ALL: [Self; 13] = [
-        Self::AsItIs,
-        Self::Raw,
-        Self::Frames,
-        Self::Window,
-        Self::Seed,
-        Self::Blur,
-        Self::Compression,
-        Self::Noise,
-        Self::Scale,
-        Self::Erosion,
-        Self::Dilation,
-        Self::Jitter,
-        Self::Hidden,
-    ];
-
-    pub(super) fn name(self) -> &'static str {
-        match self {
-            Self::AsItIs => "as-it-is",
-            Self::Raw => "raw",
-            Self::Frames => "frames",
-            Self::Window => "window",
-            Self::Seed => "seed",
-            Self::Blur => "blur",
-            Self::Compression => "compression",
-            Self::Noise => "noise",
-            Self::Scale => "scale",
-            Self::Erosion => "erosion",
-            Self::Dilation => "dilation",
-            Self::Jitter => "jitter",
-            Self::Hidden => "hidden",
-        }
+    pub(super) fn name(self) -> String {
+        self.to_possible_value().map_or_else(String::new, |value| value.get_name().to_owned())
     }
 
     /// The levels that it takes, least and most; `None` where it has none.
@@ -166,7 +113,7 @@ pub(super) struct Variant {
 impl fmt::Display for Variant {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self.kind.levels() {
-            None => f.write_str(self.kind.name()),
+            None => f.write_str(&self.kind.name()),
             Some(_) => write!(f, "{}-{}", self.kind.name(), self.level),
         }
     }
@@ -175,9 +122,9 @@ impl fmt::Display for Variant {
 impl Variant {
     /// Reads `noise-8`; says which there are if it is none.
     pub(super) fn parse(text: &str) -> Result<Self, String> {
-        let named = |kind: &Kind| text.strip_prefix(kind.name()).map(|rest| (*kind, rest));
-        let (kind, rest) = Kind::ALL.iter().find_map(named).ok_or_else(|| {
-            let names: Vec<&str> = Kind::ALL.iter().map(|kind| kind.name()).collect();
+        let named = |kind: &Kind| text.strip_prefix(&kind.name()).map(|rest| (*kind, rest));
+        let (kind, rest) = Kind::value_variants().iter().find_map(named).ok_or_else(|| {
+            let names: Vec<String> = Kind::value_variants().iter().map(|kind| kind.name()).collect();
             format!(
                 "'{text}': unknown variant; expected one of {}, most of them with a level, such as noise-8",
                 names.join(", ")
@@ -202,13 +149,12 @@ impl Variant {
     pub(super) fn all(names: &[String]) -> Result<Vec<Self>, String> {
         let mut variants: Vec<Self> = Vec::new();
         for name in names {
-            let list: Vec<&str> = match name.as_str() {
-                "calibration" => CALIBRATION.to_vec(),
-                "breakdown" => BREAKDOWN.to_vec(),
-                name => vec![name],
+            let list = match name.as_str() {
+                "calibration" => swept(&CALIBRATION),
+                "breakdown" => swept(&BREAKDOWN),
+                name => vec![Self::parse(name)?],
             };
-            for name in list {
-                let variant = Self::parse(name)?;
+            for variant in list {
                 if !variants.contains(&variant) {
                     variants.push(variant);
                 }
@@ -218,17 +164,22 @@ impl Variant {
     }
 }
 
+fn swept(sweeps: &[Sweep]) -> Vec<Variant> {
+    sweeps.iter().flat_map(|(kind, levels)| levels.iter().map(move |&level| Variant { kind: *kind, level })).collect()
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn names_are_read_back_and_lists_hold_each_once() {
-        for name in CALIBRATION.iter().chain(&BREAKDOWN) {
-            assert_eq!(Variant::parse(name).unwrap().to_string(), *name);
+        let (calibration, breakdown) = (swept(&CALIBRATION), swept(&BREAKDOWN));
+        for variant in calibration.iter().chain(&breakdown) {
+            assert_eq!(Variant::parse(&variant.to_string()).as_ref(), Ok(variant));
         }
         let both = Variant::all(&["calibration".into(), "breakdown".into(), "noise-6".into()]).unwrap();
-        assert_eq!(both.len(), CALIBRATION.len() + BREAKDOWN.len() - 6);
+        assert_eq!(both.len(), calibration.len() + breakdown.len() - 6);
     }
 
     #[test]
