@@ -4,10 +4,10 @@ use std::path::PathBuf;
 use std::time::Instant;
 
 use anyhow::Context;
-use serde::Serialize;
+use serde_json::json;
 
 use super::output::{Failure, Form, show};
-use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, Summary, adjust};
+use crate::bundle::{Behind, CameraBlock, Gauge, LinearSolver, Options, Problem, adjust};
 use crate::io::interchange::bal;
 use crate::pipeline::{MOST_THREADS, process_cpu_s};
 
@@ -41,18 +41,6 @@ pub(super) enum SolverArg {
     Sparse,
 }
 
-#[derive(Serialize)]
-struct Output {
-    initial_cost: f64,
-    final_cost: f64,
-    iterations: usize,
-    solve_cpu_s: f64,
-    solve_wall_s: f64,
-    num_images: usize,
-    num_points: usize,
-    summary: Summary,
-}
-
 /// A number of threads that helps anybody.
 fn threads(text: &str) -> Result<usize, String> {
     let number = text.parse().ok().filter(|number| *number <= MOST_THREADS);
@@ -83,39 +71,34 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let (wall, cpu) = (Instant::now(), process_cpu_s());
     let summary =
         adjust(&mut problem, &options).with_context(|| format!("cannot adjust {}", args.problem.display()))?;
-    let output = Output {
-        initial_cost: summary.initial_cost,
-        final_cost: summary.final_cost,
-        iterations: summary.iterations,
-        solve_cpu_s: process_cpu_s() - cpu,
-        solve_wall_s: wall.elapsed().as_secs_f64(),
-        num_images: problem.poses.len(),
-        num_points: problem.points.len(),
-        summary,
-    };
-    show(form, &output, || as_text(&output))
-}
-
-fn as_text(output: &Output) -> String {
-    let s = &output.summary;
-    format!(
-        "{} images, {} points, {} observations\n\
-         cost {:.3} → {:.3} in {} iterations ({:?})\n\
-         CPU {:.3} s, wall {:.3} s\n\
-         set-up {:.3}, linearization {:.3}, reduced system {:.3}, its solution {:.3}, steps {:.3} s\n",
-        output.num_images,
-        output.num_points,
-        s.num_residuals,
-        s.initial_cost,
-        s.final_cost,
-        s.iterations,
-        s.termination,
-        output.solve_cpu_s,
-        output.solve_wall_s,
-        s.setup_s,
-        s.linearize_s,
-        s.schur_s,
-        s.solve_s,
-        s.step_s
-    )
+    let (solve_cpu_s, solve_wall_s) = (process_cpu_s() - cpu, wall.elapsed().as_secs_f64());
+    let (num_images, num_points, s) = (problem.poses.len(), problem.points.len(), &summary);
+    let output = json!({
+        "initial_cost": s.initial_cost,
+        "final_cost": s.final_cost,
+        "iterations": s.iterations,
+        "solve_cpu_s": solve_cpu_s,
+        "solve_wall_s": solve_wall_s,
+        "num_images": num_images,
+        "num_points": num_points,
+        "summary": s,
+    });
+    show(form, &output, || {
+        format!(
+            "{num_images} images, {num_points} points, {} observations\n\
+             cost {:.3} → {:.3} in {} iterations ({:?})\n\
+             CPU {solve_cpu_s:.3} s, wall {solve_wall_s:.3} s\n\
+             set-up {:.3}, linearization {:.3}, reduced system {:.3}, its solution {:.3}, steps {:.3} s\n",
+            s.num_residuals,
+            s.initial_cost,
+            s.final_cost,
+            s.iterations,
+            s.termination,
+            s.setup_s,
+            s.linearize_s,
+            s.schur_s,
+            s.solve_s,
+            s.step_s
+        )
+    })
 }

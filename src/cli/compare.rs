@@ -2,14 +2,14 @@
 
 use std::path::{Path, PathBuf};
 
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use super::common::{lossy, named};
 use super::output::{Failure, Form, show};
 use super::paired_times::{self, Times};
 use crate::eval::comparison::{Comparison, Cost, LengthUnit, MatchBy, Side, compare};
 use crate::io::interchange::model::{self, Format};
-use crate::io::{IoError, RunFolder, Sequence, atomic, json, refuse_place_of_results};
+use crate::io::{IoError, RunFolder, Sequence, atomic, json as json_file, refuse_place_of_results};
 use crate::report::comparison as page;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
@@ -60,23 +60,13 @@ pub(super) fn run(args: &Args, arguments: &[std::ffi::OsString], form: Form) -> 
         let text = page::render(&page::Data { comparison: &comparison, models, arguments })?;
         atomic::write(path, text.as_bytes())?;
     }
-    if comparison.has_result() {
-        return show(form, &comparison, || comparison.to_string());
+    let mut value = json!(comparison);
+    let failure = (!comparison.has_result()).then(|| why_not(&comparison));
+    if let Some(message) = &failure {
+        value["error"] = json!({ "message": message });
     }
-    show(
-        form,
-        &FailedComparison { comparison: &comparison, error: serde_json::json!({ "message": why_not(&comparison) }) },
-        || comparison.to_string(),
-    )?;
-    Err(Failure::Partial(anyhow::anyhow!(why_not(&comparison))))
-}
-
-/// JSON output where nothing could be compared.
-#[derive(serde::Serialize)]
-struct FailedComparison<'a> {
-    #[serde(flatten)]
-    comparison: &'a Comparison,
-    error: Value,
+    show(form, &value, || comparison.to_string())?;
+    failure.map_or(Ok(()), |message| Err(Failure::Partial(anyhow::anyhow!(message))))
 }
 
 fn check(args: &Args) -> Result<(), Failure> {
@@ -200,8 +190,8 @@ fn cost(path: &Path) -> Result<Option<Cost>, IoError> {
     let measured = path.ancestors().take(2).map(|folder| folder.join("cost.json")).find(|file| file.is_file());
     let run = RunFolder::at(path).run_json();
     match measured {
-        Some(file) => json::read(&file).map(Some),
-        None if run.is_file() => Ok(cost_of_run(&json::read(&run)?)),
+        Some(file) => json_file::read(&file).map(Some),
+        None if run.is_file() => Ok(cost_of_run(&json_file::read(&run)?)),
         None => Ok(None),
     }
 }
@@ -253,9 +243,9 @@ mod tests {
 
     #[test]
     fn the_cost_of_a_run_is_that_of_its_stages() {
-        let stage = |cpu: f64, peak: f64| serde_json::json!({ "cpu_s": cpu, "wall_s": 1.0, "peak_rss_mib": peak });
-        let run = serde_json::json!({ "stages": { "input": stage(2.0, 100.0), "sfm": stage(3.5, 80.0) } });
+        let stage = |cpu: f64, peak: f64| json!({ "cpu_s": cpu, "wall_s": 1.0, "peak_rss_mib": peak });
+        let run = json!({ "stages": { "input": stage(2.0, 100.0), "sfm": stage(3.5, 80.0) } });
         assert_eq!(cost_of_run(&run), Some(Cost { cpu_s: 5.5, wall_s: 2.0, peak_rss_mib: 100.0 }));
-        assert_eq!(cost_of_run(&serde_json::json!({})), None);
+        assert_eq!(cost_of_run(&json!({})), None);
     }
 }

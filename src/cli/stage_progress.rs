@@ -34,11 +34,8 @@ pub(super) enum Event {
     Begins,
     /// It goes on.
     GoesOn,
-    /// It is over, after so many seconds.
-    Ends {
-        /// Of elapsed time.
-        took_s: f64,
-    },
+    /// It is over.
+    Ends,
     /// An earlier run had done it.
     DoneBefore,
 }
@@ -98,12 +95,11 @@ impl StageProgress {
     }
 
     pub(super) fn end(&mut self) -> Option<Moment> {
-        let took_s = self.current.as_ref()?.started.elapsed().as_secs_f64();
-        let stage = self.current.as_ref()?.stage;
-        if let Some(stage) = stage {
-            self.forecast.finish(stage, Some(took_s));
+        let current = self.current.as_ref()?;
+        if let Some(stage) = current.stage {
+            self.forecast.finish(stage, Some(current.started.elapsed().as_secs_f64()));
         }
-        let moment = self.moment(Event::Ends { took_s });
+        let moment = self.moment(Event::Ends);
         self.current = None;
         moment
     }
@@ -157,7 +153,7 @@ impl Moment {
                 let left = self.left_s.map(|left_s| format!(", {}", in_words(left_s))).unwrap_or_default();
                 format!("{name:<10} {steps}{left}")
             }
-            Event::Ends { took_s } => format!("{name:<10} {took_s:.1} s"),
+            Event::Ends => format!("{name:<10} {:.1} s", self.stage_s),
             Event::DoneBefore => format!("{name:<10} up to date"),
         }
     }
@@ -167,7 +163,7 @@ impl Moment {
         let event = match self.event {
             Event::Begins => "begins",
             Event::GoesOn => "goes-on",
-            Event::Ends { .. } => "ends",
+            Event::Ends => "ends",
             Event::DoneBefore => "done-before",
         };
         json!({
