@@ -37,25 +37,31 @@ pub(super) fn sequence(attempt: &Attempt<'_>, talk: &TerminalProgress) -> Result
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let truth = Sequence::open(folder);
     let (vehicle, trajectory) = names(&name, truth.as_ref().ok());
-    let described = |entry: Entry| Entry { folder: name.clone(), vehicle, trajectory, ..entry };
-    let failed = |reason: String| Entry { failure: Some(reason), ..Entry::default() };
     let output = output.map_or_else(|| results.subfolder(&name), |output| Ok(output.to_owned()))?;
-    // A panic is a defect of the program, but it must not take the other sequences with it.
-    let result = catch_unwind(AssertUnwindSafe(|| {
+    let found = attempted(|| {
         let truth = truth?;
         let summary = run(args, &name, &truth, &output, options, arguments, talk)?;
         let evaluation = pipeline::evaluate(&output, folder)?;
         pipeline::keep_evaluation(&output, folder, &evaluation)?;
-        Ok::<_, anyhow::Error>(entry(&evaluation, &summary))
-    }));
-    match result {
-        Ok(Ok(entry)) => Ok(described(entry)),
+        Ok(entry(&evaluation, &summary))
+    })?;
+    let found = found.unwrap_or_else(|reason| Entry { failure: Some(reason), ..Entry::default() });
+    Ok(Entry { folder: name, vehicle, trajectory, ..found })
+}
+
+/// The result of work on one of many sequences, or why it failed. A panic is a defect of the program, but it must not
+/// take the others with it.
+///
+/// # Errors
+/// Only what stands in the way of every sequence.
+pub(in crate::cli) fn attempted<T>(work: impl FnOnce() -> anyhow::Result<T>) -> Result<Result<T, String>, Failure> {
+    match catch_unwind(AssertUnwindSafe(work)) {
+        Ok(Ok(found)) => Ok(Ok(found)),
         Ok(Err(error)) if stands_in_every_way(&error) => Err(error.into()),
-        Ok(Err(error)) => Ok(described(failed(Failure::Input(error).to_string()))),
+        Ok(Err(error)) => Ok(Err(Failure::Input(error).to_string())),
         Err(panic) => {
             let text = panic.downcast_ref::<String>().map(String::as_str).or(panic.downcast_ref::<&str>().copied());
-            let text = text.unwrap_or("no message");
-            Ok(described(failed(format!("internal error; please report it: {text}"))))
+            Ok(Err(format!("internal error; please report it: {}", text.unwrap_or("no message"))))
         }
     }
 }

@@ -1,12 +1,11 @@
 //! One sequence in one variant: an ordinary run in a folder of its own, evaluated.
 
 use std::fs;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 
 use super::degrade;
 use super::variant::{Kind, Variant, WINDOW};
-use crate::cli::benchmark::single::stands_in_every_way;
+use crate::cli::benchmark::single::attempted;
 use crate::cli::job::apply_sequence;
 use crate::cli::output::Failure;
 use crate::cli::terminal::TerminalProgress;
@@ -42,14 +41,8 @@ impl Setting<'_> {
             ..Case::default()
         };
         let output = self.results.subfolder(&sequence)?.join(variant.to_string());
-        let failed = |reason: String| Case { failure: Some(reason), ..described.clone() };
-        // A panic is a defect of the program, but it must not take the other cases with it.
-        match catch_unwind(AssertUnwindSafe(|| self.result(folder, variant, &output, described.clone()))) {
-            Ok(Ok(case)) => Ok(case),
-            Ok(Err(error)) if stands_in_every_way(&error) => Err(error.into()),
-            Ok(Err(error)) => Ok(failed(Failure::Input(error).to_string())),
-            Err(_) => Ok(failed("internal error; please report it".into())),
-        }
+        let found = attempted(|| self.result(folder, variant, &output, described.clone()))?;
+        Ok(found.unwrap_or_else(|reason| Case { failure: Some(reason), ..described }))
     }
 
     fn result(&self, folder: &Path, variant: Variant, output: &Path, case: Case) -> anyhow::Result<Case> {
