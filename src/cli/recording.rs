@@ -11,8 +11,8 @@ use crate::io::{OwnedFolder, RunFolder};
 
 /// Name of standard input on the command line.
 pub(super) const STDIN: &str = "-";
-/// Name of the recording without its extension.
-const STEM: &str = "recording";
+/// Name of the recording without its extension; that of its telemetry, too, so that a run finds it.
+pub(super) const STEM: &str = "recording";
 /// Extensions that [`extension`] gives; other files of that stem are not the program's.
 const EXTENSIONS: [&str; 9] = ["mkv", "mp4", "y4m", "avi", "flv", "ts", "h264", "h265", "video"];
 /// Bytes by which the container is recognized: two packets of an MPEG transport stream and more.
@@ -44,7 +44,7 @@ pub(super) fn own(output: &Path) -> anyhow::Result<OwnedFolder> {
 /// # Errors
 /// There are some, and `overwrite` is false.
 pub(super) fn replaceable(output: &Path, overwrite: bool) -> Result<Vec<PathBuf>, Failure> {
-    let earlier = recordings(output).with_context(|| format!("{}: cannot be read", output.display()))?;
+    let earlier = recordings(output, &EXTENSIONS);
     if let Some(found) = earlier.first().filter(|_| !overwrite) {
         let (path, output) = (found.display(), output.display());
         return Err(Failure::Usage(format!(
@@ -54,14 +54,16 @@ pub(super) fn replaceable(output: &Path, overwrite: bool) -> Result<Vec<PathBuf>
     Ok(earlier)
 }
 
-/// Recordings in a folder.
-fn recordings(folder: &Path) -> io::Result<Vec<PathBuf>> {
-    let paths = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<PathBuf>>>()?;
-    let is_recording = |path: &PathBuf| {
-        let is_own = EXTENSIONS.iter().any(|end| path.extension().is_some_and(|found| found == *end));
-        is_own && path.file_stem().is_some_and(|stem| stem == STEM) && path.is_file()
-    };
-    Ok(paths.into_iter().filter(is_recording).collect())
+/// Recordings in a folder, with one of these extensions.
+pub(super) fn recordings(folder: &Path, extensions: &[&str]) -> Vec<PathBuf> {
+    extensions.iter().map(|end| folder.join(STEM).with_extension(end)).filter(|path| path.is_file()).collect()
+}
+
+/// Removes recordings.
+pub(super) fn remove(paths: &[PathBuf]) -> anyhow::Result<()> {
+    let remove =
+        |path: &PathBuf| fs::remove_file(path).with_context(|| format!("{}: cannot be removed", path.display()));
+    paths.iter().try_for_each(remove)
 }
 
 /// Writes the recording; earlier ones go when there is something to write.
@@ -89,9 +91,7 @@ pub(super) fn begin(
     if head.is_empty() {
         return Err(anyhow!("{shown} is empty; check the program that writes to it"));
     }
-    for path in earlier {
-        fs::remove_file(path).with_context(|| format!("{}: cannot be removed", path.display()))?;
-    }
+    remove(earlier)?;
     let path = folder.join(STEM).with_extension(extension(&head));
     let begun = File::create_new(&path).and_then(|mut file| file.write_all(&head).map(|()| file));
     let file = begun.with_context(|| format!("{}: recording failed", path.display()))?;
@@ -134,7 +134,7 @@ mod tests {
             let data = [head, &[7; 3000][..]].concat();
             let path = write(&data[..], folder.path(), &[]).unwrap();
             assert_eq!(fs::read(&path).unwrap(), data);
-            assert_eq!(recordings(folder.path()).unwrap(), std::slice::from_ref(&path));
+            assert_eq!(recordings(folder.path(), &EXTENSIONS), std::slice::from_ref(&path));
             path.extension().unwrap().to_string_lossy().into_owned()
         };
         assert_eq!(of(&ts), "ts");
@@ -152,6 +152,6 @@ mod tests {
         let earlier = write(&b"FLV"[..], folder.path(), &[]).unwrap();
         let error = write(&b""[..], folder.path(), std::slice::from_ref(&earlier)).unwrap_err();
         assert!(error.to_string().contains("standard input is empty"));
-        assert_eq!(recordings(folder.path()).unwrap(), [earlier], "nothing was lost");
+        assert_eq!(recordings(folder.path(), &EXTENSIONS), [earlier], "nothing was lost");
     }
 }

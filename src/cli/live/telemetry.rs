@@ -8,25 +8,20 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::thread;
-use std::time::Duration;
 
 use anyhow::Context;
 
 use super::super::output::Failure;
+use super::super::recording::{STEM, recordings, remove};
+use super::{CHUNK_BYTES, POLL};
 use crate::files;
 use crate::live::TelemetryFeed;
 use crate::telemetry::Kind;
 
-/// Name of the recording without its extension: that of the video, so that a run finds it.
-const STEM: &str = "recording";
-/// Its extensions.
+/// Extensions of its recording.
 const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "mavlink"];
-/// Bytes that are copied at once at most.
-const CHUNK_BYTES: usize = 16 << 10;
 /// Bytes at the beginning by which the format is recognized, if they come within one line.
 const HEAD_BYTES: usize = 512;
-/// Wait for a file to grow.
-const POLL: Duration = Duration::from_millis(50);
 
 /// Telemetry that is being recorded.
 pub(super) struct Telemetry {
@@ -47,14 +42,11 @@ impl Telemetry {
         if !is_pipe {
             files::check(path).with_context(|| format!("{shown}: cannot be read; check --telemetry"))?;
         }
-        let earlier: Vec<PathBuf> =
-            EXTENSIONS.iter().map(|end| output.join(STEM).with_extension(end)).filter(|path| path.is_file()).collect();
+        let earlier = recordings(output, &EXTENSIONS);
         if let Some(found) = earlier.first().filter(|_| !overwrite) {
             return Err(Failure::Usage(format!("{}: recording exists; give --overwrite", found.display())));
         }
-        for path in earlier {
-            fs::remove_file(&path).with_context(|| format!("{}: cannot be removed", path.display()))?;
-        }
+        remove(&earlier)?;
         let feed = Arc::new(TelemetryFeed::new(path));
         let telemetry = Self { feed: feed.clone(), recorded: Arc::default(), is_over: Arc::default() };
         let copy = Copy {
@@ -258,6 +250,8 @@ fn extension(head: &[u8]) -> &'static str {
 
 #[cfg(test)]
 mod tests {
+    use std::time::Duration;
+
     use super::*;
 
     #[test]
