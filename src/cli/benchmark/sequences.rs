@@ -44,42 +44,31 @@ pub(in crate::cli) fn find(folder: &Path, only: &[String], output: &Path) -> Res
     }
     found.sequences.sort();
     found.left_out.sort();
-    let shown = folder.display();
-    match (num_sequences, found.sequences.len()) {
-        (0, _) if folder.join("scene.json").is_file() => Err(Failure::Input(anyhow::anyhow!(
-            "{shown}: this is a sequence itself; give the folder that contains it, and its name with --only"
-        ))),
-        (0, _) => Err(Failure::Input(anyhow::anyhow!(
-            "{shown}: no folder in it has a scene.json; render sequences \
-             first"
-        ))),
-        (_, 0) => Err(Failure::Input(anyhow::anyhow!("{shown}: no sequence name contains {}", only.join(" or ")))),
-        _ => Ok(found),
-    }
+    let problem = match (num_sequences, found.sequences.len()) {
+        (0, _) if folder.join("scene.json").is_file() => {
+            "this is a sequence itself; give the folder that contains it, and its name with --only".to_owned()
+        }
+        (0, _) => "no folder in it has a scene.json; render sequences first".to_owned(),
+        (_, 0) => format!("no sequence name contains {}", only.join(" or ")),
+        _ => return Ok(found),
+    };
+    Err(anyhow::anyhow!("{}: {problem}", folder.display()).into())
 }
 
 /// Vehicle and trajectory of a sequence: as its `scene.json` says, else from `<trajectory>_<vehicle>`, which folders
 /// are called, else the folder's name.
 pub(in crate::cli) fn names(folder: &str, sequence: Option<&Sequence>) -> (String, String) {
-    let vehicle = sequence.and_then(|s| s.vehicle.clone());
-    let trajectory = sequence.and_then(|s| s.trajectory.clone());
-    match (vehicle, trajectory) {
-        (Some(vehicle), Some(trajectory)) => (vehicle, trajectory),
-        (Some(vehicle), None) => {
-            let trajectory = folder.strip_suffix(vehicle.as_str()).and_then(|rest| rest.strip_suffix('_'));
-            let trajectory = trajectory.unwrap_or(folder).to_owned();
-            (vehicle, trajectory)
-        }
-        (None, Some(trajectory)) => {
-            let vehicle = folder.strip_prefix(trajectory.as_str()).and_then(|rest| rest.strip_prefix('_'));
-            (vehicle.unwrap_or(folder).to_owned(), trajectory)
-        }
-        // A sequence that cannot even be read keeps its place in the table.
-        (None, None) => match folder.rsplit_once('_') {
-            Some((trajectory, vehicle)) if !trajectory.is_empty() && !vehicle.is_empty() => {
-                (vehicle.to_owned(), trajectory.to_owned())
-            }
-            _ => (folder.to_owned(), folder.to_owned()),
-        },
-    }
+    let vehicle = sequence.and_then(|s| s.vehicle.as_deref());
+    let trajectory = sequence.and_then(|s| s.trajectory.as_deref());
+    let before = |vehicle: &str| folder.strip_suffix(vehicle)?.strip_suffix('_');
+    let after = |trajectory: &str| folder.strip_prefix(trajectory)?.strip_prefix('_');
+    // A sequence that cannot even be read keeps its place in the table.
+    let parts = || folder.rsplit_once('_').filter(|(before, after)| !before.is_empty() && !after.is_empty());
+    let (trajectory, vehicle) = match (trajectory, vehicle) {
+        (Some(trajectory), Some(vehicle)) => (trajectory, vehicle),
+        (None, Some(vehicle)) => (before(vehicle).unwrap_or(folder), vehicle),
+        (Some(trajectory), None) => (trajectory, after(trajectory).unwrap_or(folder)),
+        (None, None) => parts().unwrap_or((folder, folder)),
+    };
+    (vehicle.to_owned(), trajectory.to_owned())
 }
