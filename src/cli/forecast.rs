@@ -87,9 +87,7 @@ fn left_of_stage_s(expected_s: f64, position: &Position) -> f64 {
 
 /// A time that is left, in words, as coarse as it is known.
 pub(super) fn in_words(left_s: f64) -> String {
-    // Seconds in a minute.
-    const MINUTE_S: f64 = 60.0;
-    let (seconds, minutes) = (left_s.ceil() as u64, (left_s / MINUTE_S).ceil() as u64);
+    let (seconds, minutes) = (left_s.ceil() as u64, (left_s / 60.0).ceil() as u64);
     match minutes {
         _ if seconds <= 5 => "a few seconds left".to_owned(),
         0 | 1 => format!("about {} s left", seconds.next_multiple_of(10)),

@@ -10,9 +10,6 @@ use serde_json::json;
 
 use super::output::{Failure, Form, print, show};
 
-/// The program's name, as it is typed.
-const NAME: &str = "tractrix";
-
 #[derive(Debug, clap::Args)]
 pub(super) struct CompletionsArgs {
     /// Shell
@@ -30,7 +27,7 @@ pub(super) struct ManualArgs {
 /// Prints the completions for one shell.
 pub(super) fn completions(args: &CompletionsArgs, mut program: Command) -> Result<(), Failure> {
     let mut script = Vec::new();
-    clap_complete::generate(args.shell, &mut program, NAME, &mut script);
+    clap_complete::generate(args.shell, &mut program, "tractrix", &mut script);
     print(&String::from_utf8_lossy(&script))
 }
 
@@ -64,7 +61,7 @@ mod tests {
     fn shells_learn_the_commands() {
         for shell in [Shell::Bash, Shell::Zsh, Shell::Fish] {
             let mut script = Vec::new();
-            clap_complete::generate(shell, &mut Args::command(), NAME, &mut script);
+            clap_complete::generate(shell, &mut Args::command(), "tractrix", &mut script);
             let script = String::from_utf8(script).unwrap();
             assert!(script.contains("doctor") && script.contains("only-object"), "{shell}");
         }

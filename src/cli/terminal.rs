@@ -18,15 +18,6 @@ use super::stop::{CaughtSignals, Signal, Stop};
 use crate::checks::text::printable;
 use crate::pipeline::{Plan, Progress};
 
-/// The environment variable that sets what is logged, in `tracing`'s filter language.
-const LOG_VARIABLE: &str = "TRACTRIX_LOG";
-/// Interval of progress lines where there is no bar.
-const PLAIN_PERIOD: Duration = Duration::from_secs(30);
-/// The same for programs that read it.
-const JSON_PERIOD: Duration = Duration::from_secs(1);
-/// Refresh interval of the bar.
-const BAR_PERIOD: Duration = Duration::from_millis(200);
-
 /// Form of progress.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, clap::ValueEnum)]
 pub(super) enum ProgressKind {
@@ -78,8 +69,8 @@ impl Shown {
     /// Interval of lines while a stage is running.
     fn period(self) -> Option<Duration> {
         match self {
-            Self::Plain => Some(PLAIN_PERIOD),
-            Self::Json => Some(JSON_PERIOD),
+            Self::Plain => Some(Duration::from_secs(30)),
+            Self::Json => Some(Duration::from_secs(1)),
             Self::Bar | Self::Nothing => None,
         }
     }
@@ -174,7 +165,7 @@ fn start_logging(voice: Voice, verbosity: Verbosity) {
         Verbosity::Normal => "warn",
         Verbosity::Verbose => "tractrix=debug,warn",
     };
-    let filter = EnvFilter::try_from_env(LOG_VARIABLE).unwrap_or_else(|_| EnvFilter::new(level));
+    let filter = EnvFilter::try_from_env("TRACTRIX_LOG").unwrap_or_else(|_| EnvFilter::new(level));
     let with_colours = io::stderr().is_terminal() && voice.shown != Shown::Json;
     let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(voice).with_target(false);
     // Only a second start in one process fails, and then the first one's settings hold.
@@ -299,7 +290,7 @@ impl Voice {
             Some(total) => self.bar.set_length(total),
             None => self.bar.unset_length(),
         }
-        self.bar.enable_steady_tick(BAR_PERIOD);
+        self.bar.enable_steady_tick(Duration::from_millis(200));
     }
 }
 

@@ -20,8 +20,6 @@ const VIDEOS: [&str; 18] = [
     "3gp", "asf", "avi", "dv", "flv", "m2ts", "m4v", "mkv", "mov", "mp4", "mpeg", "mpg", "mts", "mxf", "ogv", "ts",
     "webm", "wmv",
 ];
-/// The longest name of an output folder, bytes; file systems allow 255.
-const MAX_NAME_BYTES: usize = 200;
 
 /// One job of a list.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -208,7 +206,8 @@ fn check_name(name: &str) -> Result<(), String> {
         _ if name.starts_with('.') => "begins with a dot",
         _ if name.contains('/') => "contains a slash",
         _ if name.chars().any(char::is_control) => "contains unprintable characters",
-        _ if name.len() > MAX_NAME_BYTES => "is too long",
+        // File systems allow 255 bytes.
+        _ if name.len() > 200 => "is too long",
         _ => return Ok(()),
     };
     Err(format!("name {name:?} {wrong}; append a tab and --name NAME"))

@@ -26,21 +26,11 @@ use item::Maker;
 use list::List;
 use side_by_side::Share;
 
-const LIST_HELP: &str = "List of videos, one per line, each optionally followed by a tab and its options; or a folder \
-     of videos";
-const LIST_LONG_HELP: &str =
-    "List of videos, one per line, each optionally followed by a tab and its options; or a folder of videos
-
-A line is a video, or a folder of images. Relative paths start at the folder of the list. Empty lines and lines that \
-                              begin with # are skipped. The results of a job are in DIR/NAME: NAME is the video's \
-                              file name without extension, or the value of --name among its options.";
-const OUTPUT_HELP: &str = "Folder of the results, with one output folder per job";
-
 #[derive(Debug, clap::Args)]
 #[command(
     group(ArgGroup::new("which").required(true).args(["index", "jobs", "status"])),
-    mut_arg("input", |flag| flag.value_name("LIST").help(LIST_HELP).long_help(LIST_LONG_HELP)),
-    mut_arg("output", |flag| flag.help(OUTPUT_HELP)),
+    mut_arg("input", list_flag),
+    mut_arg("output", |flag| flag.help("Folder of the results, with one output folder per job")),
 )]
 pub(super) struct Args {
     /// Run one job, the K-th from 0 (for schedulers)
@@ -60,6 +50,15 @@ pub(super) struct Args {
     pub(super) parent: Option<u32>,
     #[command(flatten)]
     pub(super) job: JobArgs,
+}
+
+/// The list, in place of a video.
+fn list_flag(flag: clap::Arg) -> clap::Arg {
+    let list = "List of videos, one per line, each optionally followed by a tab and its options; or a folder of videos";
+    let lines = "A line is a video, or a folder of images. Relative paths start at the folder of the list. Empty lines \
+         and lines that begin with # are skipped. The results of a job are in DIR/NAME: NAME is the video's file name \
+         without extension, or the value of --name among its options.";
+    flag.value_name("LIST").help(list).long_help(format!("{list}\n\n{lines}"))
 }
 
 pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {

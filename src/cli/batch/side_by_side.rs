@@ -26,12 +26,6 @@ use crate::pipeline::{Completion, FolderState, Identity};
 const PATIENCE: Duration = Duration::from_millis(1200);
 /// Polling interval for jobs that have ended.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
-/// Less than this of memory nobody may ask for, MiB.
-const LEAST_MIB: u64 = 64;
-/// Exit codes of a job that would fail again: wrong input, wrong use.
-const FINAL: [i32; 2] = [1, 2];
-/// Exit code of a program that broke, as Rust's runtime has it.
-const BROKEN: i32 = 101;
 
 /// Resources for all jobs together.
 #[derive(Clone, Copy, Debug)]
@@ -142,8 +136,9 @@ fn at_a_time(most: usize, memory: MemoryLimit, talk: &TerminalProgress) -> usize
 /// Flags that give a job its part of the machine.
 fn part(share: Share, most: usize) -> [String; 4] {
     let threads = (threads(share.threads) / most).max(1);
-    let memory = (share.memory.bytes() >> 20) / most as u64;
-    ["--threads".to_owned(), threads.to_string(), "--memory-limit".to_owned(), format!("{}MiB", memory.max(LEAST_MIB))]
+    // Nobody may ask for less than 64 MiB.
+    let memory_mib = ((share.memory.bytes() >> 20) / most as u64).max(64);
+    ["--threads".to_owned(), threads.to_string(), "--memory-limit".to_owned(), format!("{memory_mib}MiB")]
 }
 
 /// Starts a process for a job. It gets its entry of the list, which may have changed since it was read.
@@ -195,8 +190,10 @@ fn fate(item: &Item, status: ExitStatus) -> Fate {
     let exit_code = status.code().and_then(|code| u8::try_from(code).ok()).filter(|&code| code != 0);
     let (state, reason) = match (status.code(), status.signal()) {
         (Some(0), _) => return of_ended(item),
-        (Some(code), _) if FINAL.contains(&code) => (State::Failed, reason(item)),
-        (Some(BROKEN), _) => (State::Failed, "internal error; please report it".into()),
+        // Wrong input or wrong use: it would fail again.
+        (Some(1 | 2), _) => (State::Failed, reason(item)),
+        // A panic.
+        (Some(101), _) => (State::Failed, "internal error; please report it".into()),
         (_, Some(9)) => (State::ToGoOn, "killed, possibly out of memory".into()),
         (_, Some(signal)) => (State::ToGoOn, format!("ended by signal {signal}")),
         (code, _) => (State::ToGoOn, format!("stopped, exit code {}", code.unwrap_or(-1))),

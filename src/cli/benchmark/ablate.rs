@@ -20,8 +20,6 @@ use crate::report::benchmark as pages;
 const VERSION: u32 = 1;
 pub(super) const JSON: &str = "ablation.json";
 pub(super) const MARKDOWN: &str = "ablation.md";
-/// Folder of the copy, below the benchmark's own state.
-const COPY: &str = "ablated";
 
 /// Ablations of a benchmark.
 pub(super) struct Ablating {
@@ -55,7 +53,7 @@ impl Ablating {
     ) -> Result<(), Failure> {
         let name = attempt.folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let results = attempt.results.subfolder(&name)?;
-        let copy = attempt.results.root().join(RunFolder::STATE).join(COPY);
+        let copy = attempt.results.root().join(RunFolder::STATE).join("ablated");
         for ablation in self.wanted.clone() {
             let is_done = |run: &AblatedRun| {
                 run.without == ablation.name && run.entry.folder == name && run.entry.failure.is_none()

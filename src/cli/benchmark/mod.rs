@@ -37,8 +37,6 @@ const MARKDOWN: &str = "benchmark.md";
 const TRAJECTORY_ERROR: &str = "trajectory-error.svg";
 const SCALE_DEVIATION: &str = "scale-deviation.svg";
 const ESTIMATORS: &str = "estimators.svg";
-/// Folder of the runs by the published method, below the benchmark's own state.
-const PAPER: &str = "paper";
 const SCALE_METHOD_HELP: &str = "Scale method used for the result; the others are evaluated for comparison";
 
 #[derive(Clone, Debug, clap::Args)]
@@ -151,7 +149,7 @@ pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &Termin
     show(form, &value, || {
         let summary = pages::summary(&benchmark, &with_paper(&benchmark, &others));
         let ablation = args.ablate.as_ref().map_or_else(String::new, |_| ablating.table(&benchmark.sequences) + "\n");
-        format!("{summary}\n{ablation}{}\n", args.output.join("benchmark.md").display())
+        format!("{summary}\n{ablation}{}\n", args.output.join(MARKDOWN).display())
     })?;
     failure.map_or(Ok(()), Err)
 }
@@ -186,7 +184,7 @@ fn paper_options(args: &Args, options: &Options) -> Result<Option<Options>, Fail
 
 /// A sequence by the published method.
 fn by_paper(attempt: &Attempt<'_>, talk: &TerminalProgress) -> Result<Entry, Failure> {
-    let runs = attempt.results.root().join(RunFolder::STATE).join(PAPER);
+    let runs = attempt.results.root().join(RunFolder::STATE).join("paper");
     std::fs::create_dir_all(&runs).with_context(|| format!("{}: cannot be written; make room", runs.display()))?;
     let output = runs.join(attempt.folder.file_name().unwrap_or_default());
     let entry = single::sequence(&Attempt { output: Some(&output), ..*attempt }, talk)?.of_paper();

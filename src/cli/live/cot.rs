@@ -16,8 +16,6 @@ use crate::telemetry::clock_s;
 
 /// Declaration in front of every datagram.
 const DECLARATION: &str = "<?xml version=\"1.0\" encoding=\"UTF-8\" standalone=\"yes\"?>";
-/// Time for which an event is valid, seconds: three updates, of which some may be lost.
-const VALID_S: f64 = 3.0;
 
 /// Destination of events.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -92,7 +90,8 @@ fn event(title: &str, vehicle: &VehicleLine, geo: &GeoPosition) -> CotEvent {
         callsign: format!("{} {id}", if class.is_empty() { "vehicle" } else { class }),
         remarks: format!("provisional, detector score {confidence:.2}"),
         time_s,
-        valid_s: VALID_S,
+        // Three updates, of which some may be lost.
+        valid_s: 3.0,
         latitude: geo.latitude,
         longitude: geo.longitude,
         height_m: geo.height,

@@ -8,13 +8,6 @@ use mavlink::{MavHeader, write_v2_msg};
 use super::updates::{Health, UdpAddress};
 use crate::live::{GeoPosition, VehicleLine};
 
-/// System id: that of the vehicle which carries the camera.
-const SYSTEM: u32 = 1;
-/// Component id `MAV_COMP_ID_CAMERA`.
-const COMPONENT: u8 = 100;
-/// Degrees times this are the integers of latitude and longitude.
-const DEGREES: f64 = 1e7;
-
 /// Sends messages.
 pub(super) struct Mavlink {
     socket: UdpSocket,
@@ -30,7 +23,8 @@ impl Mavlink {
     }
 
     pub(super) fn send(&mut self, vehicle: &VehicleLine, geo: &GeoPosition) {
-        let header = MavHeader { system_id: SYSTEM, component_id: COMPONENT, sequence: self.sequence };
+        // The system is the vehicle which carries the camera; component id MAV_COMP_ID_CAMERA.
+        let header = MavHeader { system_id: 1, component_id: 100, sequence: self.sequence };
         self.sequence = self.sequence.wrapping_add(1);
         let mut packet = Vec::new();
         let written = write_v2_msg(&mut packet, header, &MavMessage::CAMERA_TRACKING_GEO_STATUS(message(vehicle, geo)));
@@ -47,8 +41,8 @@ fn message(vehicle: &VehicleLine, geo: &GeoPosition) -> CAMERA_TRACKING_GEO_STAT
     // −π to π.
     let heading = geo.course_deg.map(|course| (course - 360.0 * (course / 360.0).round()).to_radians());
     CAMERA_TRACKING_GEO_STATUS_DATA {
-        lat: (DEGREES * geo.latitude).round() as i32,
-        lon: (DEGREES * geo.longitude).round() as i32,
+        lat: (1e7 * geo.latitude).round() as i32,
+        lon: (1e7 * geo.longitude).round() as i32,
         alt: known(geo.height),
         h_acc: geo.horizontal_std as f32,
         v_acc: known(geo.vertical_std),

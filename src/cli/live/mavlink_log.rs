@@ -12,10 +12,6 @@ use crate::telemetry::date;
 /// First line of the table.
 pub(super) const HEADER: &str = "utc,latitude,longitude,altitude,relative_height,horizontal_std,vertical_std,\
                                  gimbal_yaw,gimbal_pitch,gimbal_roll\n";
-/// Component id `MAV_COMP_ID_AUTOPILOT1`.
-const AUTOPILOT: u8 = 1;
-/// `hdg` of GLOBAL_POSITION_INT where the heading is unknown.
-const NO_HEADING: u16 = u16::MAX;
 
 /// Returns true if a log begins like a packet of MAVLink 1 or 2.
 pub(super) fn is_mavlink(head: &[u8]) -> bool {
@@ -42,7 +38,8 @@ impl Table {
     ///
     /// * `now_s` – computer's clock, seconds after 1970: the time of a log that does not state its own.
     pub(super) fn line(&mut self, header: MavHeader, message: &MavMessage, now_s: f64) -> Option<String> {
-        let is_autopilot = header.component_id == AUTOPILOT;
+        // MAV_COMP_ID_AUTOPILOT1.
+        let is_autopilot = header.component_id == 1;
         match message {
             MavMessage::SYSTEM_TIME(time) if is_autopilot && time.time_unix_usec > 0 => {
                 self.booted_s = Some(1e-6 * time.time_unix_usec as f64 - 1e-3 * f64::from(time.time_boot_ms));
@@ -81,7 +78,8 @@ impl Table {
     }
 
     fn position(&mut self, found: &GLOBAL_POSITION_INT_DATA, now_s: f64) -> Option<String> {
-        if found.hdg != NO_HEADING {
+        // Where the heading is unknown.
+        if found.hdg != u16::MAX {
             self.heading_deg = 0.01 * f64::from(found.hdg);
         }
         // An autopilot without a position sends zeros.
@@ -112,7 +110,7 @@ mod tests {
     use super::*;
     use crate::telemetry::{clock_s, read_bytes};
 
-    const FROM_AUTOPILOT: MavHeader = MavHeader { system_id: 3, component_id: AUTOPILOT, sequence: 0 };
+    const FROM_AUTOPILOT: MavHeader = MavHeader { system_id: 3, component_id: 1, sequence: 0 };
 
     fn position() -> GLOBAL_POSITION_INT_DATA {
         GLOBAL_POSITION_INT_DATA {

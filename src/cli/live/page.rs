@@ -23,21 +23,14 @@ use tiny_http::{Header, Request, Response, Server};
 use crate::live::Line;
 use crate::scene::Frame;
 
-const PAGE: &str = include_str!("page.html");
 /// Longer side of the image, pixels.
 const IMAGE_PX: u32 = 960;
-/// Quality of the image, per cent.
-const QUALITY: u8 = 72;
 /// Time between two images.
 const IMAGE_PERIOD: Duration = Duration::from_millis(500);
 /// Events that wait for a browser at most: two seconds of ten vehicles.
 const MAX_WAITING: usize = 256;
 /// Browsers at once.
 const MAX_BROWSERS: usize = 8;
-/// Time after which a silent connection gets a comment, which shows whether it is still open.
-const SILENCE: Duration = Duration::from_secs(5);
-/// Wait for a request before the end of the run is looked at.
-const PATIENCE: Duration = Duration::from_millis(200);
 /// The page loads nothing, and shows images of its own events alone.
 const POLICY: &str = "default-src 'none'; script-src 'unsafe-inline'; style-src 'unsafe-inline'; img-src data:; \
                       connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'";
@@ -203,7 +196,7 @@ fn encode(frames: &Receiver<(Frame, RgbImage)>, hub: &Hub) {
         let [small_width, small_height] = [width, height].map(|side| ((f64::from(side) * share) as u32).max(1));
         let small = imageops::thumbnail(&image, small_width, small_height);
         let mut jpeg = Cursor::new(Vec::new());
-        if JpegEncoder::new_with_quality(&mut jpeg, QUALITY).encode_image(&small).is_err() {
+        if JpegEncoder::new_with_quality(&mut jpeg, 72).encode_image(&small).is_err() {
             continue;
         }
         let url = format!("data:image/jpeg;base64,{}", STANDARD.encode(jpeg.into_inner()));
@@ -218,7 +211,7 @@ fn encode(frames: &Receiver<(Frame, RgbImage)>, hub: &Hub) {
 ///   the video.
 fn serve(server: &Server, hub: &Arc<Hub>, is_over: &AtomicBool, is_local: bool) {
     while !is_over.load(Ordering::Relaxed) {
-        match server.recv_timeout(PATIENCE) {
+        match server.recv_timeout(Duration::from_millis(200)) {
             Ok(Some(request)) => answer(request, hub, is_local),
             Ok(None) => {}
             Err(_) => return,
@@ -232,7 +225,7 @@ fn answer(request: Request, hub: &Arc<Hub>, is_local: bool) {
     let answered = match request.url() {
         _ if is_local && !host.is_some_and(is_own_name) => request.respond(refused(403, "unknown host")),
         "/" => {
-            let mut page = Response::from_string(PAGE);
+            let mut page = Response::from_string(include_str!("page.html"));
             for (name, value) in [
                 ("Content-Type", "text/html; charset=utf-8"),
                 ("Content-Security-Policy", POLICY),
@@ -271,8 +264,9 @@ fn stream(mut to: Box<dyn Write + Send>, events: &Receiver<Arc<str>>) {
     let mut put = |text: &str| -> io::Result<()> { to.write_all(text.as_bytes()).and_then(|()| to.flush()) };
     let mut is_open = put(head).is_ok();
     while is_open {
-        is_open = match events.recv_timeout(SILENCE) {
+        is_open = match events.recv_timeout(Duration::from_secs(5)) {
             Ok(text) => put(&text).is_ok(),
+            // A comment shows whether a silent connection is still open.
             Err(RecvTimeoutError::Timeout) => put(":\n\n").is_ok(),
             Err(RecvTimeoutError::Disconnected) => false,
         };

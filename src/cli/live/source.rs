@@ -21,8 +21,6 @@ use crate::files;
 
 /// The program that receives streams.
 const FFMPEG: &str = "ffmpeg";
-/// Time for which a stream is looked at before its packets are passed on, microseconds; 5 s by default.
-const ANALYSIS_US: &str = "500000";
 /// RTP has no decoding times, without which ffmpeg writes no frames out of order; it leaves out the first time as well.
 /// Decoding precedes presentation by a second, as much as frames are out of order at most.
 const DECODING_TIMES: &str = concat!(
@@ -31,8 +29,6 @@ const DECODING_TIMES: &str = concat!(
 );
 /// Time after which a stream that sends nothing has ended, microseconds. A running RTSP stream gets it twice.
 const SILENCE_US: &str = "10000000";
-/// Time that the program gets to end by itself.
-const PATIENCE: Duration = Duration::from_millis(200);
 
 /// An open source.
 pub(super) struct Source {
@@ -98,7 +94,8 @@ fn arguments(source: &str, stream: Stream) -> Vec<&str> {
     // Matroska holds what cameras send, JPEG images and raw ones; a transport stream comes with less delay.
     let container = if stream == Stream::Camera { "matroska" } else { "mpegts" };
     if stream != Stream::Camera {
-        all.extend(["-analyzeduration", ANALYSIS_US]);
+        // Half a second, instead of 5 s, before packets are passed on.
+        all.extend(["-analyzeduration", "500000"]);
     }
     all.extend(["-i", source, "-map", "0:v:0", "-c", "copy"]);
     if stream == Stream::Rtsp {
@@ -180,7 +177,8 @@ impl Drop for Receiver {
         if let Some(id) = rustix::process::Pid::from_raw(i32::try_from(child.id()).unwrap_or(0)) {
             let _ = rustix::process::kill_process(id, rustix::process::Signal::TERM);
         }
-        thread::sleep(PATIENCE);
+        // It may end by itself.
+        thread::sleep(Duration::from_millis(200));
         drop(child.kill());
         drop(child.wait());
     }

@@ -12,10 +12,8 @@ use anyhow::{Context, anyhow};
 use crate::live::{GeoPosition, Line, State, VehicleLine};
 use crate::scene::ObjectId;
 
-/// Time between two updates of a vehicle, seconds.
-const PERIOD_S: f64 = 1.0;
-/// Part of it by which one may come early: time stamps are rounded.
-const EARLY: f64 = 0.01;
+/// Least time between two updates of a vehicle, seconds: one second, with rounded time stamps.
+const PERIOD_S: f64 = 0.99;
 /// Time after which a vehicle that is not seen is forgotten, seconds.
 const FORGOTTEN_S: f64 = 60.0;
 
@@ -36,7 +34,7 @@ impl Updates {
     pub(super) fn due<'a>(&mut self, line: &'a Line) -> Option<(&'a VehicleLine, &'a GeoPosition)> {
         let Line::Vehicle(vehicle) = line else { return None };
         let geo = vehicle.geo.as_deref().filter(|_| vehicle.state == State::Provisional)?;
-        let is_early = |last: &f64| vehicle.t - last < (1.0 - EARLY) * PERIOD_S;
+        let is_early = |last: &f64| vehicle.t - last < PERIOD_S;
         if self.last_s.get(&vehicle.id).is_some_and(is_early) {
             return None;
         }
