@@ -1,7 +1,6 @@
 //! Table of the effects of single mechanisms.
 
-use super::pages::{NONE, number};
-use super::table::Table;
+use super::table::{NONE, Table, number, percent};
 use crate::eval::benchmark::{Effect, Means};
 
 /// A row per mechanism: figures with and without it, and what it changes. Negative changes of error and time are gains.
@@ -22,7 +21,7 @@ pub fn ablation_table(effects: &[Effect]) -> String {
         let error = |means: &Means| number(means.trajectory_error_m, 4);
         let change = with.trajectory_error_m.zip(without.trajectory_error_m).map(|(with, without)| with - without);
         let covered = |k: usize| {
-            let share = |means: &Means| means.coverage.map_or(NONE.to_owned(), |found| percent(found[k]));
+            let share = |means: &Means| percent(means.coverage.map(|found| found[k]), 0);
             format!("{} / {}", share(with), share(without))
         };
         table.row([
@@ -39,10 +38,6 @@ pub fn ablation_table(effects: &[Effect]) -> String {
         ]);
     }
     table.render(1)
-}
-
-fn percent(share: f64) -> String {
-    format!("{:.0} %", 100.0 * share)
 }
 
 #[cfg(test)]

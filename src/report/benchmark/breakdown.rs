@@ -10,8 +10,6 @@ use crate::math::median;
 use crate::report::ReportError;
 use crate::report::svg::{self, Area, DrawResult, FONT};
 
-/// Size of a chart, pixels.
-const SIZE: (u32, u32) = (640, 340);
 /// Errors that are drawn, as shares: what is smaller or larger is drawn at the edge.
 const ERRORS: Range<f64> = 0.0005..1.0;
 /// Colors of error and stated deviation.
@@ -44,7 +42,7 @@ pub fn breakdown_charts(calibration: &Calibration) -> Result<Vec<(&'static str, 
         levels.sort_by(f64::total_cmp);
         levels.dedup();
         let chart = Chart { title, axis, cases, levels };
-        (chart.levels.len() > 1).then(|| Ok((*kind, svg::drawn(SIZE, |area| chart.draw(area))?)))
+        (chart.levels.len() > 1).then(|| Ok((*kind, svg::drawn((640, 340), |area| chart.draw(area))?)))
     };
     SWEEPS.iter().filter_map(chart).collect()
 }

@@ -1,12 +1,8 @@
 //! A calibration as Markdown.
 
-use super::table::Table;
+use super::table::{NONE, Table, figure, number, percent};
 use crate::eval::calibration::{Calibration, Case, Row, Share, summarise, summarise_spreads};
 use crate::eval::spread::Spread;
-
-/// The aims, as shares within 1, 2 and 3 deviations.
-const AIMS: &str = "Targets: 68 ± 7 % within one reported standard deviation, at least 93 % within two, at least 99 % \
-     within three.";
 
 /// The table of all cases together, and of each kind of variant.
 pub fn calibration_summary(calibration: &Calibration) -> String {
@@ -34,14 +30,14 @@ pub fn calibration_summary(calibration: &Calibration) -> String {
 /// Differences between runs of real clips.
 fn clips_summary(spreads: &[Spread]) -> String {
     let row = summarise_spreads(spreads);
-    let shares = row.within.map_or("–".to_owned(), |shares| shares.map(share).join(", "));
+    let shares = row.within.map_or(NONE.to_owned(), |shares| shares.map(share).join(", "));
     format!(
         "\nReal clips, each variant against the unmodified clip: {} vehicles placed by both runs, {} with standard \
          deviations; within 1, 2, 3σ: {shares}; median difference {}. This is a lower bound: errors common to both \
          runs do not show.\n",
         row.num,
         row.num_judged,
-        percent(row.median_difference)
+        percent(row.median_difference, 2)
     )
 }
 
@@ -67,7 +63,8 @@ pub fn calibration(calibration: &Calibration) -> String {
          \n\
          Are reported standard deviations calibrated? `tractrix {}`, version {}.\n\
          \n\
-         {AIMS} Intervals: 95 % for independent cases (Wilson); cases of one sequence are not fully independent. \
+         Targets: 68 ± 7 % within one reported standard deviation, at least 93 % within two, at least 99 % within \
+         three. Intervals: 95 % for independent cases (Wilson); cases of one sequence are not fully independent. \
          `factor`: factor by which reported standard deviations would have to be multiplied, by the median. \
          `residual`: mean error of a stationary vehicle's points, as a share of its distance. \
          `overconfident`: error above three standard deviations, with verdict good or fair.\n\
@@ -94,16 +91,16 @@ fn clips(spreads: &[Spread]) -> String {
             format!("{} and {}", spread.objects[0], spread.objects[1]),
             spread.num_frames.to_string(),
             format!("{:.1} %", 100.0 * spread.difference),
-            percent(spread.relative_std),
-            spread.deviations().map_or("–".to_owned(), |deviations| format!("{deviations:.2}")),
-            spread.verdict.map_or("–", crate::scene::Trust::name).to_owned(),
+            percent(spread.relative_std, 2),
+            number(spread.deviations(), 2),
+            spread.verdict.map_or(NONE, crate::scene::Trust::name).to_owned(),
         ]);
     }
     if table.is_empty() { String::new() } else { format!("\n## Real clips\n\n{}", table.render(3)) }
 }
 
 fn cells(row: &Row) -> Vec<String> {
-    let within = |k: usize| row.within.map_or("–".to_owned(), |shares| share(shares[k]));
+    let within = |k: usize| row.within.map_or(NONE.to_owned(), |shares| share(shares[k]));
     vec![
         row.name.clone(),
         row.num.to_string(),
@@ -111,9 +108,9 @@ fn cells(row: &Row) -> Vec<String> {
         within(0),
         within(1),
         within(2),
-        percent(row.median_error),
-        percent(row.median_std),
-        row.factor.map_or("–".to_owned(), |factor| format!("{factor:.2}")),
+        percent(row.median_error, 2),
+        percent(row.median_std, 2),
+        number(row.factor, 2),
         row.num_degenerate.to_string(),
         row.num_failed.to_string(),
         row.num_sure_and_wrong.to_string(),
@@ -121,23 +118,20 @@ fn cells(row: &Row) -> Vec<String> {
 }
 
 fn case_cells(case: &Case) -> Vec<String> {
-    let number = |value: Option<f64>, digits: usize, unit: &str| {
-        value.map_or("–".to_owned(), |value| format!("{value:.digits$}{unit}"))
-    };
     let verdict = match (&case.failure, case.verdict) {
         (Some(reason), _) => format!("failed: {reason}"),
-        (None, verdict) => verdict.map_or("–", crate::scene::Trust::name).to_owned(),
+        (None, verdict) => verdict.map_or(NONE, crate::scene::Trust::name).to_owned(),
     };
     vec![
         case.sequence.clone(),
         case.variant.clone(),
-        number(case.error.map(|error| 100.0 * error), 2, " %"),
-        percent(case.relative_std),
-        number(case.deviations(), 2, ""),
-        number(case.trajectory_error_m, 3, " m"),
-        percent(case.residual),
+        percent(case.error, 2),
+        percent(case.relative_std, 2),
+        number(case.deviations(), 2),
+        figure(case.trajectory_error_m, 3, " m"),
+        percent(case.residual, 2),
         format!("{} of {}", case.num_placed, case.num_visible),
-        number(case.object_px, 0, " px"),
+        figure(case.object_px, 0, " px"),
         verdict,
     ]
 }
@@ -145,10 +139,6 @@ fn case_cells(case: &Case) -> Vec<String> {
 fn share(share: Share) -> String {
     let [low, high] = share.interval.map(|end| 100.0 * end);
     format!("{:.0} % ({low:.0}–{high:.0})", 100.0 * share.share)
-}
-
-fn percent(value: Option<f64>) -> String {
-    value.map_or("–".to_owned(), |value| format!("{:.2} %", 100.0 * value))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! All scale estimators side by side: determined and undetermined ratios, their errors, coverage of their σ, sources.
 
-use super::pages::{NONE, name, number};
-use super::table::Table;
+use super::pages::name;
+use super::table::{NONE, Table, number};
 use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, Statistics, paper};
 
 /// Standard deviations whose coverage is shown.
@@ -39,7 +39,7 @@ pub(super) fn estimators(own: &Benchmark, others: &[Benchmark]) -> String {
     )
 }
 
-fn is_reference(estimator: &Estimator) -> bool {
+pub(super) fn is_reference(estimator: &Estimator) -> bool {
     matches!(estimator, Estimator::Named(method) if method.is_reference())
 }
 

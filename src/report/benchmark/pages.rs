@@ -2,7 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::table::Table;
+use super::estimators::is_reference;
+use super::table::{NONE, Table, number};
 use crate::eval::benchmark::{Benchmark, Cost, Entry, Estimator, Figures, Quantity, Row, Statistics, paper, summarise};
 use crate::report::words::count;
 
@@ -10,8 +11,6 @@ use crate::report::words::count;
 pub const ATTENTION_ERROR_M: f64 = 0.3;
 /// Registered share of the object's or background's frames below which it is.
 pub const ATTENTION_FRACTION: f64 = 0.98;
-
-pub(super) const NONE: &str = "–";
 
 /// The whole page: summary, every sequence, others next to it, and what needs a reason.
 pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
@@ -166,10 +165,6 @@ fn mean_of(statistics: &Statistics, digits: usize) -> String {
     }
 }
 
-pub(super) fn number(value: Option<f64>, digits: usize) -> String {
-    value.map_or(NONE.to_owned(), |value| format!("{value:.digits$}"))
-}
-
 pub(super) fn name(estimator: &Estimator, set: &Benchmark) -> String {
     match estimator {
         Estimator::Named(method) => method.name().into(),
@@ -242,7 +237,6 @@ fn value(entry: &Entry, estimator: &Estimator) -> String {
 
 /// The estimators without reference methods, which have a section of their own.
 fn main(set: &Benchmark) -> Vec<Estimator> {
-    let is_reference = |e: &Estimator| matches!(e, Estimator::Named(method) if method.is_reference());
     set.estimators().into_iter().filter(|estimator| !is_reference(estimator)).collect()
 }
 

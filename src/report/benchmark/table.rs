@@ -1,5 +1,23 @@
 //! Markdown tables whose columns also line up in a terminal.
 
+/// Cell of a value that does not exist.
+pub(super) const NONE: &str = "–";
+
+/// A number with its unit, if it exists.
+pub(super) fn figure(value: Option<f64>, digits: usize, unit: &str) -> String {
+    value.map_or(NONE.to_owned(), |value| format!("{value:.digits$}{unit}"))
+}
+
+/// A number without a unit, if it exists.
+pub(super) fn number(value: Option<f64>, digits: usize) -> String {
+    figure(value, digits, "")
+}
+
+/// A share in per cent, if it exists.
+pub(super) fn percent(share: Option<f64>, digits: usize) -> String {
+    figure(share.map(|share| 100.0 * share), digits, " %")
+}
+
 /// A table under construction.
 pub(super) struct Table {
     rows: Vec<Vec<String>>,
