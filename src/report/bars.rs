@@ -9,20 +9,11 @@ use plotters::prelude::*;
 
 use super::svg::{self, Area, DrawResult, FONT};
 
-/// Size of a chart and width of its legend, pixels.
+/// Size of a chart, pixels.
 const SIZE: (u32, u32) = (1200, 450);
-const LEGEND_PX: i32 = 190;
 
 /// Height of one of several charts above one another, pixels.
 const PANEL_PX: u32 = 230;
-
-/// Share of a group's and of a cluster's width that is left empty.
-const GROUP_GAP: f64 = 0.10;
-const CLUSTER_GAP: f64 = 0.16;
-
-/// Values above this multiple of their 85 % quantile are cut, so that a few do not flatten the rest.
-const EXTREME: f64 = 3.0;
-const QUANTILE: f64 = 0.85;
 
 /// Colors of the clusters, distinguished also by the color-blind (after Okabe and Ito).
 const COLORS: [RGBColor; 7] = [
@@ -102,7 +93,7 @@ impl BarChart {
     }
 
     fn draw(&self, area: &Area<'_>) -> DrawResult {
-        let (plot, legend) = area.split_horizontally(SIZE.0 as i32 - LEGEND_PX);
+        let (plot, legend) = area.split_horizontally(SIZE.0 as i32 - 190);
         self.draw_legend(&legend)?;
         let top = self.top();
         let mut chart = ChartBuilder::on(&plot)
@@ -133,15 +124,18 @@ impl BarChart {
         let mut values: Vec<f64> = bars.flat_map(of).flatten().filter(|v| v.is_finite() && *v > 0.0).collect();
         values.sort_by(f64::total_cmp);
         let Some(&largest) = values.last() else { return 1.0 };
-        let usual = values[((values.len() - 1) as f64 * QUANTILE) as usize];
-        1.08 * largest.min(EXTREME * usual)
+        // Values above three times their 85 % quantile are cut, so that a few do not flatten the rest.
+        let usual = values[((values.len() - 1) as f64 * 0.85) as usize];
+        1.08 * largest.min(3.0 * usual)
     }
 
     /// Left and right end of a bar.
     fn span(&self, [group, cluster, filling]: [usize; 3]) -> [f64; 2] {
-        let cluster_width = (1.0 - GROUP_GAP) / self.clusters.len().max(1) as f64;
-        let width = cluster_width * (1.0 - CLUSTER_GAP) / self.fillings.len().max(1) as f64;
-        let cluster_left = group as f64 + 0.5 * GROUP_GAP + (cluster as f64 + 0.5 * CLUSTER_GAP) * cluster_width;
+        // Shares of the width of a group and of a cluster that are left empty.
+        let (group_gap, cluster_gap) = (0.10, 0.16);
+        let cluster_width = (1.0 - group_gap) / self.clusters.len().max(1) as f64;
+        let width = cluster_width * (1.0 - cluster_gap) / self.fillings.len().max(1) as f64;
+        let cluster_left = group as f64 + 0.5 * group_gap + (cluster as f64 + 0.5 * cluster_gap) * cluster_width;
         [cluster_left + filling as f64 * width, cluster_left + (filling as f64 + 0.96) * width]
     }
 

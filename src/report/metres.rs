@@ -1,6 +1,6 @@
 //! Metres of a result, as a reader takes them: in what lengths are reported, on what they rest, what contradicts.
 
-use serde::Serialize;
+use minijinja::{Value, context};
 
 use super::words::{LENGTH_UNIT, figure, percent, round_figure};
 use crate::scene::{Metric, MetricContradiction, MetricFrame, MetricShare, MetricVerdict, sources_in_words};
@@ -59,40 +59,22 @@ pub fn metres_in_words(metric: Option<&Metric>) -> String {
 }
 
 /// Metres on the page.
-#[derive(Debug, Serialize)]
-pub(super) struct Metres {
-    /// True if meters are known.
-    known: bool,
-    sentence: String,
-    shares: Vec<Share>,
-    contradictions: Vec<String>,
-}
-
-#[derive(Debug, Serialize)]
-struct Share {
-    source: String,
-    scale: String,
-    std: String,
-    share: String,
-}
-
-impl Metres {
-    pub fn new(metric: Option<&Metric>) -> Self {
-        Self {
-            known: metric.and_then(frame).is_some(),
-            sentence: metres_in_words(metric),
-            shares: metric.iter().flat_map(|metric| &metric.shares).map(share).collect(),
-            contradictions: metric.iter().flat_map(|metric| &metric.contradictions).map(contradiction).collect(),
+pub(super) fn on_page(metric: Option<&Metric>) -> Value {
+    let share = |share: &MetricShare| {
+        context! {
+            source => share.source,
+            scale => figure(share.scale, 4),
+            std => percent(share.std / share.scale),
+            share => percent(share.share),
         }
-    }
-}
-
-fn share(share: &MetricShare) -> Share {
-    Share {
-        source: share.source.clone(),
-        scale: figure(share.scale, 4),
-        std: percent(share.std / share.scale),
-        share: percent(share.share),
+    };
+    let shares = metric.iter().flat_map(|metric| &metric.shares).map(share);
+    let contradictions = metric.iter().flat_map(|metric| &metric.contradictions).map(contradiction);
+    context! {
+        known => metric.and_then(frame).is_some(),
+        sentence => metres_in_words(metric),
+        shares => shares.collect::<Vec<_>>(),
+        contradictions => contradictions.collect::<Vec<_>>(),
     }
 }
 

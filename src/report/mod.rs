@@ -38,6 +38,7 @@ mod testing;
 pub use data::{Data, Fact, Missing, Model, Object, Part, Stage};
 pub use metres::metres_in_words;
 pub use overlay::{Label, Thumbnail, object_colour, overlay, strip_frames};
+pub use page::render;
 pub use pictures::{Film, PictureMaker, Pictures};
 pub use travel::{estimate, ground_track_facts, travel_facts};
 pub use verdict::Verdict;
@@ -77,12 +78,4 @@ pub enum ReportError {
     /// A chart's parts do not fit into it.
     #[error("chart: cannot be laid out: {0}")]
     Chart(String),
-}
-
-/// The page as text.
-///
-/// # Errors
-/// [`ReportError::Template`].
-pub fn render(data: &Data) -> Result<String, ReportError> {
-    page::render(data)
 }

@@ -15,13 +15,9 @@ use super::view::{RADIUS, View, finite, rounded};
 use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction};
 
 /// Background points shown: 12 characters each in the page.
-const MAX_POINTS: usize = 60_000;
-/// Points shown per object: 22 characters each.
-const MAX_OBJECT_POINTS: usize = 3_000;
-/// Points shown of all objects together.
-const MAX_ALL_OBJECT_POINTS: usize = 24_000;
-/// Frames the time slider can stop at.
-const MAX_FRAMES: usize = 1_500;
+pub(super) const MAX_POINTS: usize = 60_000;
+/// Frames the time slider can stop at, and cameras shown of each reconstruction.
+pub(super) const MAX_FRAMES: usize = 1_500;
 
 /// Input of `view3d.js`.
 #[derive(Debug, Serialize)]
@@ -97,7 +93,8 @@ impl Scene {
         });
         let frames = frames.collect();
         let shown = data.objects.iter().filter(|o| o.trajectory.is_some()).count().max(1);
-        let budget = MAX_OBJECT_POINTS.min(MAX_ALL_OBJECT_POINTS / shown);
+        // Points shown per object, 22 characters each, and of all objects together.
+        let budget = 3_000.min(24_000 / shown);
         let objects = || data.objects.iter().zip(names);
         let placed = objects().filter_map(|(o, n)| scene_object(data, view, o, n, &chosen, budget));
         let on_ground = objects().filter_map(|(o, n)| ground_track(data, view, o, n, &chosen));
@@ -149,12 +146,7 @@ fn tangent_of(background: &Reconstruction, image: &Image) -> [f64; 2] {
 }
 
 fn scene_frame(frame: &Frame, image: Option<&Image>, view: &View, timeline: &Timeline) -> SceneFrame {
-    let pose = |image: &Image| {
-        let [x, y, z] = view.point(image.cam_from_world.center());
-        let q = view.view_from_world.rotation * image.cam_from_world.rotation.inverse();
-        [x, y, z, rounded(q.w), rounded(q.i), rounded(q.j), rounded(q.k)]
-    };
-    let camera = image.map(pose).filter(|c| c.iter().all(|v| v.is_finite()));
+    let camera = image.map(|image| view.camera(&image.cam_from_world)).filter(|c| c.iter().all(|v| v.is_finite()));
     let time = timeline.of(frame.id).unwrap_or_default();
     SceneFrame { frame: frame.id.0, time: rounded(time), camera, tangent: None }
 }

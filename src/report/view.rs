@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::data::{Data, Object};
 use super::metres;
-use crate::math::{self, Sim3, symmetric_eigen};
+use crate::math::{self, Rigid3, Sim3, symmetric_eigen};
 use crate::scene::{Point3d, Reconstruction};
 
 /// Radius of camera path and trajectories in the view's frame.
@@ -68,6 +68,13 @@ impl View {
         let view_from_world = Sim3::new(scale, rotation, -middle.coords * scale);
         let reach = reach(background, &view_from_world);
         Self { view_from_world, reach, ground: 0.0, up_source }
+    }
+
+    /// A camera: its center, and `view_from_cam` as w x y z.
+    pub fn camera(&self, cam_from_world: &Rigid3) -> [f64; 7] {
+        let [x, y, z] = self.point(cam_from_world.center());
+        let q = self.view_from_world.rotation * cam_from_world.rotation.inverse();
+        [x, y, z, rounded(q.w), rounded(q.i), rounded(q.j), rounded(q.k)]
     }
 
     pub fn point(&self, world: Point3<f64>) -> [f64; 3] {

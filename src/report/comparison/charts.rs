@@ -5,9 +5,6 @@ use crate::report::chart::{Chart, Drawing, Line};
 use crate::report::comparison::{Data, colour, unit};
 use crate::report::ticks::{ticks, whole_ticks};
 
-/// Images from which lines are drawn; fewer are dots.
-const MANY_IMAGES: usize = 60;
-
 /// Charts over the images of the reference, in the order of their names.
 pub(super) fn charts(data: &Data) -> Vec<Drawing> {
     let comparison = data.comparison;
@@ -18,8 +15,9 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
         let mut points: Vec<(f64, f64)> =
             other.images.iter().filter_map(|image| Some((place(&image.name)?, value(image)?))).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
+        // Few images are dots.
         let (label, colour) = (other.subject.name.clone(), colour(k + 1).to_owned());
-        Line { label, colour, points, dots: names.len() < MANY_IMAGES, ..Line::default() }
+        Line { label, colour, points, dots: names.len() < 60, ..Line::default() }
     };
     let of_others = |value: &dyn Fn(&ImageDifference) -> Option<f64>| {
         comparison.others.iter().enumerate().map(|other| line(other, value)).collect::<Vec<_>>()

@@ -6,7 +6,6 @@ pub(super) mod charts;
 mod scene;
 
 use minijinja::{Value, context};
-use serde::Serialize;
 
 use super::ReportError;
 use super::page::{STYLE, VIEW_SCRIPTS, fill, json, policy};
@@ -14,14 +13,13 @@ use super::words::{UNKNOWN, count, percent, thousands};
 use crate::eval::comparison::{Against, Comparison, ImageDifference, LengthUnit};
 use crate::scene::Reconstruction;
 
-const TEMPLATE: &str = include_str!("compare.html");
 const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("compare.js")];
 
 /// Colours of the reconstructions, the reference first; distinguished also by the colour-blind (after Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777"];
 
-/// Images that the table lists of each reconstruction.
-const MAX_ROWS: usize = 200;
+/// Images that a table lists of each reconstruction.
+pub(super) const MAX_ROWS: usize = 200;
 
 /// Content of the page.
 #[derive(Clone, Debug)]
@@ -39,7 +37,7 @@ pub struct Data<'a> {
 /// # Errors
 /// [`ReportError::Template`].
 pub fn render(data: &Data) -> Result<String, ReportError> {
-    fill(TEMPLATE, page_context(data))
+    fill(include_str!("compare.html"), page_context(data))
 }
 
 pub(super) fn colour(side: usize) -> &'static str {
@@ -53,7 +51,7 @@ fn page_context(data: &Data) -> Value {
         .chain(comparison.others.iter().map(|other| &other.subject))
         .map(|subject| subject.name.as_str())
         .collect();
-    let details: Vec<_> = (1..).zip(&comparison.others).map(|(k, other)| Details::new(k, other)).collect();
+    let details: Vec<_> = (1..).zip(&comparison.others).map(|(k, other)| details(k, other)).collect();
     let sides: Vec<_> = names.iter().enumerate().map(|(k, name)| context! { name, colour => colour(k) }).collect();
     context! {
         title => names.join(" · "),
@@ -123,32 +121,19 @@ fn with_unit(length: f64, of: LengthUnit) -> String {
 }
 
 /// Details of one reconstruction, below the charts.
-#[derive(Debug, Serialize)]
-struct Details {
-    name: String,
-    colour: &'static str,
-    intrinsics: Vec<[String; 3]>,
-    only_in_reference: Vec<String>,
-    only_in_other: Vec<String>,
-    rows: Vec<[String; 6]>,
-    left_out: usize,
-}
-
-impl Details {
-    fn new(side: usize, other: &Against) -> Self {
-        let intrinsics = other.intrinsics.iter().map(|pair| {
-            let [reference, here] = pair.in_figures();
-            [thousands(pair.num_images), reference, here]
-        });
-        Self {
-            name: other.subject.name.clone(),
-            colour: colour(side),
-            intrinsics: intrinsics.collect(),
-            only_in_reference: other.only_in_reference.clone(),
-            only_in_other: other.only_in_other.clone(),
-            rows: other.images.iter().take(MAX_ROWS).map(row).collect(),
-            left_out: other.images.len().saturating_sub(MAX_ROWS),
-        }
+fn details(side: usize, other: &Against) -> Value {
+    let intrinsics = other.intrinsics.iter().map(|pair| {
+        let [reference, here] = pair.in_figures();
+        [thousands(pair.num_images), reference, here]
+    });
+    context! {
+        name => other.subject.name,
+        colour => colour(side),
+        intrinsics => intrinsics.collect::<Vec<_>>(),
+        only_in_reference => other.only_in_reference,
+        only_in_other => other.only_in_other,
+        rows => other.images.iter().take(MAX_ROWS).map(row).collect::<Vec<_>>(),
+        left_out => other.images.len().saturating_sub(MAX_ROWS),
     }
 }
 

@@ -4,14 +4,9 @@ use serde::Serialize;
 
 use super::{Data, colour};
 use crate::math::Sim3;
-use crate::report::scene::{Cloud, cloud};
+use crate::report::scene::{self, Cloud, cloud};
 use crate::report::view::{RADIUS, View, rounded};
 use crate::scene::{Image, Reconstruction};
-
-/// Points shown of all reconstructions together.
-const MAX_POINTS: usize = 60_000;
-/// Cameras shown of each reconstruction.
-const MAX_CAMERAS: usize = 1_500;
 
 /// Input of `compare.js`.
 #[derive(Debug, Serialize)]
@@ -45,7 +40,7 @@ impl Scene {
     pub fn new(data: &Data) -> Option<Self> {
         let view = View::of_model(data.models[0])?;
         let comparison = data.comparison;
-        let limit = MAX_POINTS / data.models.len();
+        let limit = scene::MAX_POINTS / data.models.len();
         let reference = side(&comparison.reference.name, 0, data.models[0], &[], limit, &view);
         let others = comparison.others.iter().zip(&data.models[1..]).enumerate().filter_map(|(k, (other, model))| {
             let alignment = other.alignment.as_ref().ok()?;
@@ -84,7 +79,7 @@ fn in_frame(model: &Reconstruction, target_from_world: &Sim3) -> Reconstruction 
 }
 
 fn side(name: &str, k: usize, model: &Reconstruction, lost: &[String], limit: usize, view: &View) -> SceneSide {
-    let step = model.images.len().div_ceil(MAX_CAMERAS).max(1);
+    let step = model.images.len().div_ceil(scene::MAX_FRAMES).max(1);
     let mut images: Vec<&Image> = model.images.values().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
     SceneSide {
@@ -98,9 +93,7 @@ fn side(name: &str, k: usize, model: &Reconstruction, lost: &[String], limit: us
 
 /// `None` where a number of it is none.
 fn camera(model: &Reconstruction, image: &Image, lost: &[String], view: &View) -> Option<SceneCamera> {
-    let [x, y, z] = view.point(image.cam_from_world.center());
-    let q = view.view_from_world.rotation * image.cam_from_world.rotation.inverse();
-    let pose = [x, y, z, rounded(q.w), rounded(q.i), rounded(q.j), rounded(q.k)];
+    let pose = view.camera(&image.cam_from_world);
     let tangent = model.cameras.get(&image.camera).map_or([0.5, 0.3], |camera| {
         [camera.width, camera.height].map(|side| rounded(0.5 * f64::from(side) / camera.mean_focal()))
     });

@@ -17,7 +17,7 @@ use sha2::{Digest, Sha256};
 use crate::report::ReportError;
 use crate::report::data::{Data, Part};
 use crate::report::evaluation::evaluation_facts;
-use crate::report::metres::{Metres, Ruler};
+use crate::report::metres::{self, Ruler};
 use crate::report::plan::Plan;
 use crate::report::scene::Scene;
 use crate::report::summary;
@@ -27,16 +27,18 @@ use crate::report::view::View;
 use crate::report::words;
 use crate::scene::{ObjectId, TimeBase};
 
-const TEMPLATE: &str = include_str!("report.html");
 pub(super) const STYLE: &str = include_str!("style.css");
 /// Scripts that every page with a 3D view has: errors first, then what draws.
 pub(super) const VIEW_SCRIPTS: [&str; 3] =
     [include_str!("errors.js"), include_str!("../../../third_party/three/three.min.js"), include_str!("view3d.js")];
 const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("page.js")];
 
-/// Fills the template.
-pub(super) fn render(data: &Data) -> Result<String, ReportError> {
-    fill(TEMPLATE, page_context(data))
+/// The page as text.
+///
+/// # Errors
+/// [`ReportError::Template`].
+pub fn render(data: &Data) -> Result<String, ReportError> {
+    fill(include_str!("report.html"), page_context(data))
 }
 
 /// Fills a template, which may include `head` and `brand` and import from `drawing`; everything is escaped.
@@ -82,12 +84,12 @@ fn page_context(data: &Data) -> Value {
         scene => scene.as_ref().map(json),
         up_source => view.as_ref().map(|v| v.up_source),
         unit => Ruler::of(data.metric).unit,
-        metres => Metres::new(data.metric),
+        metres => metres::on_page(data.metric),
         strip,
         film => film.as_ref().map(json),
         bars => charts::bars(data, &timeline, &names),
         ticks => timeline.ticks(),
-        clock => json(&Clock::new(&timeline)),
+        clock => clock(&timeline),
         has_seconds => timeline.base == TimeBase::Seconds,
         readings => json(&charts),
         charts,
@@ -102,20 +104,14 @@ fn page_context(data: &Data) -> Value {
     }
 }
 
-/// A link to a part of the result.
-#[derive(Debug, Serialize)]
-struct Link<'a> {
-    path: &'a str,
-    holds: String,
-}
-
-fn parts<'a>(data: &'a Data) -> Vec<Link<'a>> {
-    let link = |part: &'a Part| Link {
-        path: &part.path,
-        holds: match part.object {
+/// Links to the parts of the result.
+fn parts(data: &Data) -> Vec<Value> {
+    let link = |part: &Part| {
+        let holds = match part.object {
             Some(id) => format!("{}: {}", name_of(data, id), part.holds),
             None => part.holds.clone(),
-        },
+        };
+        context! { path => part.path, holds }
     };
     data.parts.iter().map(link).collect()
 }
@@ -125,20 +121,10 @@ fn name_of(data: &Data, id: ObjectId) -> String {
     data.objects.iter().find(|o| o.id == id).map_or_else(|| format!("Object {id}"), words::name)
 }
 
-/// Times for `page.js`.
-#[derive(Debug, Serialize)]
-struct Clock {
-    start: f64,
-    end: f64,
-    /// True if times are seconds; otherwise they are numbers of frames.
-    seconds: bool,
-}
-
-impl Clock {
-    fn new(timeline: &Timeline) -> Self {
-        let (start, end) = timeline.span();
-        Self { start, end, seconds: timeline.base == TimeBase::Seconds }
-    }
+/// Times for `page.js`: in seconds, otherwise numbers of frames.
+fn clock(timeline: &Timeline) -> Value {
+    let (start, end) = timeline.span();
+    json(&serde_json::json!({ "start": start, "end": end, "seconds": timeline.base == TimeBase::Seconds }))
 }
 
 /// Content security policy: the page's own scripts and embedded images, and nothing else.

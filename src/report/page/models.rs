@@ -6,14 +6,12 @@ use serde::Serialize;
 
 use crate::eval::comparison::{ModelFigures, error_of_image, intrinsics_in_figures};
 use crate::report::chart::Drawing;
+use crate::report::comparison::MAX_ROWS;
 use crate::report::comparison::charts::histograms;
 use crate::report::data::{Data, Model};
 use crate::report::overlay::{css_colour, object_colour};
 use crate::report::words::{UNKNOWN, figure, thousands};
 use crate::scene::{CameraId, Reconstruction};
-
-/// Images that the table lists.
-const MAX_ROWS: usize = 200;
 
 /// Vehicles with a row and a line of their own, those with most points.
 const MAX_VEHICLES: usize = 9;
