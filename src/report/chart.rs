@@ -14,8 +14,6 @@ use super::words::count;
 const SIDE: f64 = 1000.0;
 /// Points drawn per line; more are averaged in runs.
 const MAX_POINTS: usize = 500;
-/// A gap of more than this many typical steps breaks a line.
-const GAP_STEPS: f64 = 1.6;
 
 /// One line.
 #[derive(Clone, Debug, Default)]
@@ -188,7 +186,8 @@ fn thinned(line: &Line) -> Line {
 
 fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usize) -> DrawnLine {
     let mut steps: Vec<f64> = line.points.windows(2).map(|w| w[1].0 - w[0].0).collect();
-    let gap = quantile(&mut steps, 0.5) * GAP_STEPS;
+    // A gap of more typical steps breaks a line.
+    let gap = quantile(&mut steps, 0.5) * 1.6;
     let mut path = String::new();
     let mut last = f64::NEG_INFINITY;
     for &(t, v) in &line.points {

@@ -8,12 +8,6 @@ use super::ReportError;
 use crate::image::{ImageError, resize_rgb_quickly};
 use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 
-/// Longer side of a strip picture, pixels.
-const THUMBNAIL_SIDE: u32 = 400;
-/// JPEG quality of a strip picture.
-const THUMBNAIL_QUALITY: u8 = 74;
-/// Pictures in the strip, which is the overview; the film shows what lies between.
-const MAX_THUMBNAILS: usize = 16;
 /// Opacity of the object's color inside a mask.
 const TINT: f32 = 0.38;
 
@@ -31,10 +25,6 @@ const PALETTE: [[u8; 3]; 10] = [
     [0xb5, 0x5e, 0xd1],
 ];
 
-/// Shades that stay apart from their hue in a legend.
-const DARKER: f32 = 0.55;
-const LIGHTER: f32 = 0.5;
-
 /// The colour of an object in pictures, charts and the 3D view. Ids ten apart share the hue, of which the second is
 /// darker and the third lighter; ids thirty apart share the color.
 pub fn object_colour(id: ObjectId) -> [u8; 3] {
@@ -42,8 +32,8 @@ pub fn object_colour(id: ObjectId) -> [u8; 3] {
     let hue = PALETTE[number % PALETTE.len()];
     match number / PALETTE.len() % 3 {
         0 => hue,
-        1 => hue.map(|part| (f32::from(part) * DARKER) as u8),
-        _ => hue.map(|part| 255 - (f32::from(255 - part) * LIGHTER) as u8),
+        1 => hue.map(|part| (f32::from(part) * 0.55) as u8),
+        _ => hue.map(|part| 255 - (f32::from(255 - part) * 0.5) as u8),
     }
 }
 
@@ -157,15 +147,19 @@ impl Thumbnail {
 
     /// As [`Self::new`], of silhouettes.
     pub(super) fn of(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
-        let small = drawn(shrunk(picture, THUMBNAIL_SIDE)?, silhouettes);
+        let small = drawn(shrunk(picture, 400)?, silhouettes);
         let (width, height) = small.dimensions();
-        let mut jpeg = Vec::new();
-        JpegEncoder::new_with_quality(&mut jpeg, THUMBNAIL_QUALITY)
-            .encode_image(&small)
-            .map_err(|source| ReportError::Picture { frame: frame.0, source })?;
+        let jpeg = jpeg(&small, 74).map_err(|source| ReportError::Picture { frame: frame.0, source })?;
         let labels = silhouettes.iter().map(Silhouette::label).collect();
         Ok(Self { frame, width, height, jpeg, labels })
     }
+}
+
+/// A JPEG file of a quality in per cent.
+pub(super) fn jpeg(picture: &RgbImage, quality: u8) -> image::ImageResult<Vec<u8>> {
+    let mut jpeg = Vec::new();
+    JpegEncoder::new_with_quality(&mut jpeg, quality).encode_image(picture)?;
+    Ok(jpeg)
 }
 
 /// A picture whose longer side is at most `longer` pixels; what is small already stays as it is.
@@ -186,7 +180,8 @@ fn shrunk_size((width, height): (u32, u32), longer: u32) -> (u32, u32) {
 /// The frames whose pictures belong in the strip: all of a short clip, evenly spread ones of a longer one, always the
 /// first and the last.
 pub fn strip_frames(frames: &[FrameId]) -> Vec<FrameId> {
-    spread(frames.len(), MAX_THUMBNAILS).into_iter().map(|i| frames[i]).collect()
+    // The strip is the overview; the film shows what is between.
+    spread(frames.len(), 16).into_iter().map(|i| frames[i]).collect()
 }
 
 /// At most `limit` indices out of `0..len`, evenly spread, with the first and the last.

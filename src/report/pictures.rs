@@ -3,29 +3,20 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use image::codecs::jpeg::JpegEncoder;
 use image::{RgbImage, imageops};
 use serde::{Deserialize, Serialize};
 
 use super::ReportError;
-use super::overlay::{Label, Silhouette, Thumbnail, drawn, shrunk, spread, strip_frames};
+use super::overlay::{Label, Silhouette, Thumbnail, drawn, jpeg, shrunk, spread, strip_frames};
 use crate::ffi::ffmpeg::{Encoder, FfmpegError};
 use crate::files;
 use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 
-/// Longer side of the film, pixels.
-const FILM_SIDE: u32 = 640;
 /// Pictures of the film: at 6 to 8 kB each the page can still be mailed. Of a longer clip evenly spread frames are
 /// shown.
 const MAX_FILM_FRAMES: usize = 600;
 /// Pictures per second of the file; the page seeks in it by number.
 pub(super) const FILM_RATE: f64 = 25.0;
-/// Longer side of a portrait, pixels: twice its size on the page.
-const PORTRAIT_SIDE: u32 = 144;
-/// JPEG quality of a portrait.
-const PORTRAIT_QUALITY: u8 = 80;
-/// Border around the mask in a portrait, as a share of the mask's longer side.
-const PORTRAIT_BORDER: f64 = 0.15;
 
 /// Pictures of the page.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -97,7 +88,7 @@ impl PictureMaker {
             self.keep_portrait(picture, silhouette)?;
         }
         if self.of_film.contains(&frame) && self.film.is_some() {
-            match self.add_to_film(frame, shrunk(picture, FILM_SIDE)?, &silhouettes) {
+            match self.add_to_film(frame, shrunk(picture, 640)?, &silhouettes) {
                 // Without such an encoder the page has the strip.
                 Err(FfmpegError::NoEncoder | FfmpegError::Encoder(_)) => self.film = None,
                 Err(source) => return Err(ReportError::Film(source)),
@@ -136,7 +127,8 @@ impl PictureMaker {
         }
         let BoundingBox { x0, y0, x1, y1 } = with_border(found, picture.dimensions());
         let cut = imageops::crop_imm(picture, x0, y0, x1 - x0, y1 - y0).to_image();
-        self.portraits.insert(id, (area, shrunk(&cut, PORTRAIT_SIDE)?));
+        // Twice its size on the page.
+        self.portraits.insert(id, (area, shrunk(&cut, 144)?));
         Ok(())
     }
 
@@ -156,11 +148,7 @@ impl PictureMaker {
             }
             None => None,
         };
-        let portrait = |(id, (_, picture)): (ObjectId, (u64, RgbImage))| {
-            let mut jpeg = Vec::new();
-            let encoded = JpegEncoder::new_with_quality(&mut jpeg, PORTRAIT_QUALITY).encode_image(&picture);
-            encoded.ok().map(|()| (id, jpeg))
-        };
+        let portrait = |(id, (_, picture)): (ObjectId, (u64, RgbImage))| Some((id, jpeg(&picture, 80).ok()?));
         let portraits = self.portraits.into_iter().filter_map(portrait).collect();
         Ok(Pictures { film, strip: self.strip, portraits })
     }
@@ -181,7 +169,7 @@ fn fitted(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
 /// A box and some of what is around it.
 fn with_border(found: BoundingBox, (width, height): (u32, u32)) -> BoundingBox {
     let longer = (found.x1 - found.x0).max(found.y1 - found.y0);
-    let border = (PORTRAIT_BORDER * f64::from(longer)).ceil() as u32;
+    let border = (0.15 * f64::from(longer)).ceil() as u32;
     BoundingBox {
         x0: found.x0.saturating_sub(border),
         y0: found.y0.saturating_sub(border),

@@ -17,10 +17,6 @@ const PATH_SIDE: f64 = 1000.0;
 const LEAST_SIDE: f64 = 1e-4;
 /// Length of the head of an arrow, as a share of the plan's shorter side.
 const ARROW: f64 = 0.05;
-/// Points drawn in the plan of the whole scene.
-const MAX_POINTS: usize = 2_500;
-/// Vertices drawn of one path.
-const MAX_VERTICES: usize = 300;
 
 /// A top view: x right, y down (towards the viewer).
 #[derive(Clone, Debug, Serialize)]
@@ -253,12 +249,12 @@ fn holds([x, y, width, height]: [f64; 4], p: &[f64; 2]) -> bool {
 }
 
 fn dots(places: &[[f64; 2]]) -> String {
-    let chosen = spread(places.len(), MAX_POINTS).into_iter().map(|i| places[i]);
+    let chosen = spread(places.len(), 2_500).into_iter().map(|i| places[i]);
     chosen.map(|[x, y]| format!("M{x:.0} {y:.0}h0")).collect()
 }
 
 fn polyline(points: &[[f64; 2]]) -> String {
-    let chosen = spread(points.len(), MAX_VERTICES).into_iter().map(|i| points[i]);
+    let chosen = spread(points.len(), 300).into_iter().map(|i| points[i]);
     let usable = chosen.filter(drawable);
     usable.enumerate().map(|(i, [x, y])| format!("{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" })).collect()
 }

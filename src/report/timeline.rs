@@ -5,9 +5,6 @@ use super::ticks::{Tick, ticks, whole_ticks};
 use super::words::count;
 use crate::scene::{FrameId, TimeBase};
 
-/// Least distance between two moments, so that each has a place of its own.
-const LEAST_STEP: f64 = 1e-3;
-
 /// When each frame is.
 #[derive(Clone, Debug)]
 pub(super) struct Timeline {
@@ -112,7 +109,8 @@ fn rising(given: impl Iterator<Item = f64>) -> Vec<f64> {
     for time in given {
         let next = match times.last() {
             Some(&last) if time.is_finite() && time > last => time,
-            Some(&last) => last + LEAST_STEP,
+            // Each has a place of its own.
+            Some(&last) => last + 1e-3,
             None if time.is_finite() => time,
             None => 0.0,
         };

@@ -2,6 +2,7 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use minijinja::{Value, context};
 use serde::Serialize;
 
 use super::gaps::NO_REASON;
@@ -47,27 +48,11 @@ pub(super) struct Card {
     /// Evidence for it.
     in_favour: Vec<String>,
     facts: Vec<Fact>,
-    alternatives: Vec<Alternative>,
+    /// Scale ratios by all methods.
+    alternatives: Vec<Value>,
     plan: Option<Plan>,
-    ground: Option<GroundCard>,
-}
-
-/// Part of a card on a ground track.
-#[derive(Debug, Serialize)]
-struct GroundCard {
-    state: &'static str,
-    says: String,
-    facts: Vec<Fact>,
-    plan: Option<Plan>,
-}
-
-/// Scale ratio by another method.
-#[derive(Debug, Serialize)]
-struct Alternative {
-    method: &'static str,
-    ratio: String,
-    deviation: String,
-    chosen: bool,
+    /// The ground track: state, meaning, facts and plan.
+    ground: Option<Value>,
 }
 
 /// One card per vehicle.
@@ -84,7 +69,7 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         colour: css_colour(object_colour(object.id)),
         portrait: data.pictures.portraits.get(&object.id).map(|jpeg| STANDARD.encode(jpeg)),
         verdict,
-        badge: if is_on_ground { GROUND_TRACK } else { verdict.label() },
+        badge: if is_on_ground { "ground track" } else { verdict.label() },
         is_on_ground,
         trust: trust(verdict, object),
         order: order(verdict, object),
@@ -96,11 +81,13 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         facts: facts(data, object, timeline),
         alternatives: object.trajectory.map(|t| alternatives(&t.scale)).unwrap_or_default(),
         plan: view.and_then(|v| Plan::object(data, object, v)),
-        ground: object.ground_track.map(|track| GroundCard {
-            state: track.verdict.as_ref().map_or(UNKNOWN, |verdict| verdict.state.name()),
-            says: track.verdict.as_ref().map(|verdict| plain(&verdict.says)).unwrap_or_default(),
-            facts: ground_facts(object, track, timeline),
-            plan: view.and_then(|v| Plan::ground_track(data, track, v)),
+        ground: object.ground_track.map(|track| {
+            context! {
+                state => track.verdict.as_ref().map_or(UNKNOWN, |verdict| verdict.state.name()),
+                says => track.verdict.as_ref().map(|verdict| plain(&verdict.says)).unwrap_or_default(),
+                facts => ground_facts(object, track, timeline),
+                plan => view.and_then(|v| Plan::ground_track(data, track, v)),
+            }
         }),
     }
 }
@@ -115,15 +102,11 @@ fn trust(verdict: verdict::Verdict, object: &Object) -> usize {
 }
 
 fn order(verdict: verdict::Verdict, object: &Object) -> i64 {
-    /// More positions than any clip has.
-    const LARGE: i64 = 1 << 32;
     let of_track = || object.ground_track.map_or(0, |track| track.positions.len());
     let positions = object.trajectory.map_or_else(of_track, |trajectory| trajectory.poses.len());
-    LARGE * trust(verdict, object) as i64 - positions as i64
+    // More positions than any clip has.
+    (1 << 32) * trust(verdict, object) as i64 - positions as i64
 }
-
-/// Badge of a vehicle whose ground track is the answer.
-const GROUND_TRACK: &str = "ground track";
 
 /// Frames, path length, displacement and speeds of a ground track.
 fn ground_facts(object: &Object, track: &GroundTrack, timeline: &Timeline) -> Vec<Fact> {
@@ -228,15 +211,17 @@ fn confidence(score: f64) -> String {
 }
 
 /// Ratios by all methods, if there are several.
-fn alternatives(scale: &ScaleEstimate) -> Vec<Alternative> {
+fn alternatives(scale: &ScaleEstimate) -> Vec<Value> {
     if scale.alternatives.keys().all(|method| *method == scale.method) {
         return Vec::new();
     }
-    let entry = |(method, ratio): (&ScaleMethod, &f64)| Alternative {
-        method: method.name(),
-        ratio: figure(*ratio, 4),
-        deviation: deviation(ratio / scale.ratio - 1.0),
-        chosen: *method == scale.method,
+    let entry = |(method, ratio): (&ScaleMethod, &f64)| {
+        context! {
+            method => method.name(),
+            ratio => figure(*ratio, 4),
+            deviation => deviation(ratio / scale.ratio - 1.0),
+            chosen => *method == scale.method,
+        }
     };
     scale.alternatives.iter().map(entry).collect()
 }

@@ -13,19 +13,17 @@ use crate::report::overlay::{css_colour, object_colour};
 use crate::report::timeline::Timeline;
 use crate::scene::{Frame, FrameId, GroundPlane, GroundTrack, Image, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
-/// Objects with a line of their own in the charts and a row of frame bars.
-const MAX_CHARTED: usize = 16;
 /// Vehicles with a raw line next to their smoothed one; of more the raw lines would hide one another.
 const MAX_RAW: usize = 3;
 /// The colour of what concerns the camera.
 const CAMERA: &str = "var(--camera)";
 
-/// The objects that charts show: those with the most poses, in the order of their ids.
+/// The objects with a line of their own in the charts and a row of frame bars: the 16 with the most poses, by id.
 fn charted<'d>(data: &'d Data, names: &'d [String]) -> Vec<(&'d Object<'d>, &'d String)> {
     let mut objects: Vec<_> = data.objects.iter().zip(names).collect();
     let weight = |o: &Object| (o.trajectory.map_or(0, |t| t.poses.len()), o.visible.len());
     objects.sort_by_key(|(o, _)| (Reverse(weight(o)), o.id));
-    objects.truncate(MAX_CHARTED);
+    objects.truncate(16);
     objects.sort_by_key(|(o, _)| o.id);
     objects
 }
@@ -66,14 +64,10 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
     all.iter().chain(&[charts.reprojection()]).filter_map(|chart| chart.draw(timeline)).collect()
 }
 
-/// Returns true if a ground track has left its place: charts of vehicles that stand show noise.
+/// Returns true if a ground track has left its place by more than 3σ: charts of vehicles that stand show noise.
 fn has_moved(track: &GroundTrack) -> bool {
-    /// Standard deviations by which it must.
-    const CLEARLY: f64 = 3.0;
-    track
-        .travel
-        .as_ref()
-        .is_some_and(|travel| travel.displacement_units.value > CLEARLY * travel.displacement_units.std)
+    let displacement = track.travel.as_ref().map(|travel| travel.displacement_units);
+    displacement.is_some_and(|displacement| displacement.value > 3.0 * displacement.std)
 }
 
 /// Input of all charts.

@@ -79,11 +79,7 @@ impl PictureLabel {
 /// The pictures that fit; `notes` says what was left out.
 pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Vec<Picture> {
     let total: usize = data.pictures.strip.iter().map(|t| t.jpeg.len()).sum();
-    let limit = if total > MAX_STRIP_BYTES {
-        data.pictures.strip.len() * MAX_STRIP_BYTES / total
-    } else {
-        data.pictures.strip.len()
-    };
+    let limit = data.pictures.strip.len() * MAX_STRIP_BYTES / total.max(MAX_STRIP_BYTES);
     let chosen = spread(data.pictures.strip.len(), limit.max(1));
     if chosen.len() < data.frames.len() && !chosen.is_empty() && data.pictures.film.is_none() {
         notes.push(format!("The frame strip shows {} of {} frames, evenly spaced.", chosen.len(), data.frames.len()));
