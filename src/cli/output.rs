@@ -113,7 +113,10 @@ impl<E: Into<anyhow::Error>> From<E> for Failure {
     fn from(error: E) -> Self {
         let error = error.into();
         let is = |of_pipeline: fn(&PipelineError) -> bool, of_folder: fn(&FolderError) -> bool| {
-            let exported = error.downcast_ref().and_then(ExportError::folder);
+            let exported = match error.downcast_ref() {
+                Some(ExportError::Folder(error)) => Some(error),
+                _ => None,
+            };
             error.downcast_ref().is_some_and(of_pipeline) || error.downcast_ref().or(exported).is_some_and(of_folder)
         };
         if is(PipelineError::is_wrong_use, FolderError::is_wrong_use) {

@@ -23,15 +23,8 @@ use crate::math::rounding::with_std;
 use crate::report::{object_colour, overlay};
 use crate::scene::{Frame, FrameId, GroundTrack, Mask, Motion, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
-/// Height of a capital letter, as a share of the picture's shorter side.
-const CAPITAL: f64 = 0.021;
 /// Width of a way where a vehicle has been, as a share of the picture's shorter side.
 const LINE: f64 = 0.006;
-/// Nothing nearer to the camera is drawn, as a share of the vehicle's own distance: lines close to its centre run
-/// through the whole picture.
-const NEAREST: f64 = 0.02;
-/// Colour of the plate with the time.
-const DARK: [u8; 3] = [24, 24, 28];
 
 /// Writes the video.
 ///
@@ -110,12 +103,12 @@ impl<'a> Annotator<'a> {
         put_in_front(&mut ground, picture, masks);
         let borrowed: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
         let mut canvas = Canvas::new(&overlay(&ground, &borrowed))?;
-        let capital_px = (CAPITAL * side).max(7.0);
+        let capital_px = (0.021 * side).max(7.0);
         self.draw_labels(&mut canvas, frame, masks, capital_px)?;
         let lower_left = Point2::new(0.0, f64::from(picture.height()));
         let (time, capital_px) = (self.time(frame, masks), 0.8 * capital_px);
         let plate = canvas.plate(&time, lower_left, capital_px)?;
-        canvas.words(&time, &plate, capital_px, DARK)?;
+        canvas.words(&time, &plate, capital_px, [24, 24, 28])?;
         Ok(canvas.finish()?)
     }
 
@@ -158,7 +151,8 @@ impl<'a> Annotator<'a> {
     ) -> Result<(), ExportError> {
         let Some(view) = self.views.get(frame.name.as_str()) else { return Ok(()) };
         let in_camera: Vec<_> = way.iter().map(|point| view.cam_from_world * *point).collect();
-        let nearest = NEAREST * in_camera[now].z.max(0.0);
+        // Lines close to the camera's center, of which this is a share of the vehicle's distance, run through the picture.
+        let nearest = 0.02 * in_camera[now].z.max(0.0);
         let colour = object_colour(id);
         for (index, ends) in in_camera.windows(2).enumerate().step_by(every) {
             let [from, to] = [ends[0], ends[1]]

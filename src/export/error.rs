@@ -123,13 +123,3 @@ pub enum ExportError {
         problem: String,
     },
 }
-
-impl ExportError {
-    /// Error of the folder that is written into, if it is one.
-    pub fn folder(&self) -> Option<&FolderError> {
-        match self {
-            Self::Folder(error) => Some(error),
-            _ => None,
-        }
-    }
-}

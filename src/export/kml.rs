@@ -19,13 +19,6 @@ use crate::scene::{GroundTrack, ObjectTrajectory};
 const NAMESPACES: [(&str, &str); 2] =
     [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
 
-/// Widths of the lines of poses, and of ground tracks.
-const BOLD: &str = "4";
-const THIN: &str = "2";
-
-/// The camera's line.
-const WHITE: [u8; 3] = [255; 3];
-
 /// Content of one track.
 struct Track {
     name: String,
@@ -75,7 +68,7 @@ fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
             doubt.unwrap_or_default()
         ),
         colour: object_colour(object.id),
-        width: BOLD,
+        width: "4",
         altitude_mode: "clampToGround",
         fixes: results.fixes_of(&object.poses),
     }
@@ -88,7 +81,7 @@ fn ground_track(results: &Results, track: &GroundTrack) -> Track {
         name: format!("{} (ground track)", track.name()),
         description: format!("{}: {said}{}", track.method.name(), track.reason),
         colour: object_colour(track.id),
-        width: THIN,
+        width: "2",
         altitude_mode: "clampToGround",
         fixes: results.fixes_of_contacts(&track.positions),
     }
@@ -102,8 +95,8 @@ fn camera(results: &Results) -> Track {
     Track {
         name: "camera".into(),
         description: description.into(),
-        colour: WHITE,
-        width: BOLD,
+        colour: [255; 3],
+        width: "4",
         altitude_mode,
         fixes: results.camera_fixes(),
     }

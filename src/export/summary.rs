@@ -18,9 +18,6 @@ use crate::checks::text::with_causes;
 use crate::io::{RunFolder, json as json_file};
 use crate::scene::{GroundTrack, MapPlace, ObjectId, ObjectTrajectory, warning_text};
 
-/// Folders in folders are searched so deep.
-const MAX_DEPTH: usize = 6;
-
 /// Columns before and after those of a vehicle's figures.
 const BEFORE: [&str; 2] = ["run", "input"];
 const AFTER: [&str; 7] = ["metres", "metres_reason", "date", "longitude", "latitude", "place_std_m", "missing"];
@@ -231,7 +228,8 @@ fn runs_below(folder: &Path, depth: usize) -> Vec<PathBuf> {
     if run.run_json().is_file() || run.trajectories().is_file() {
         return vec![folder.to_owned()];
     }
-    if depth == MAX_DEPTH {
+    // Folders in folders are searched so deep.
+    if depth == 6 {
         return Vec::new();
     }
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();

@@ -20,11 +20,6 @@ use crate::io::interchange::colmap;
 use crate::io::{ExportFolder, IoError, RunFolder, masks};
 use crate::scene::{FrameId, Mask, Movement, ObjectId};
 
-/// JPEG quality: next to nothing is lost.
-const QUALITY: u8 = 96;
-/// Margin by which masks are widened, as a share of the longer side.
-const MARGIN: f64 = 0.004;
-
 /// Fills an empty folder.
 ///
 /// # Errors
@@ -83,7 +78,7 @@ fn still(
             moving.union_with(&mask);
         }
     }
-    let margin_px = (MARGIN * f64::from(width.max(height))).ceil() as u32;
+    let margin_px = (0.004 * f64::from(width.max(height))).ceil() as u32;
     Ok(moving.dilated(margin_px).complement())
 }
 
@@ -98,5 +93,6 @@ fn save(path: &Path, picture: &RgbImage) -> Result<(), ExportError> {
         return Ok(picture.save_with_format(path, ImageFormat::Png).map_err(failed)?);
     }
     let file = BufWriter::new(File::create(path).map_err(IoError::system("write", path))?);
-    Ok(JpegEncoder::new_with_quality(file, QUALITY).encode_image(picture).map_err(failed)?)
+    // Next to nothing is lost.
+    Ok(JpegEncoder::new_with_quality(file, 96).encode_image(picture).map_err(failed)?)
 }

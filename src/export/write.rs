@@ -223,7 +223,7 @@ mod tests {
     use super::*;
     use crate::export::testing::{results_of, with_metres, write_run};
     use crate::io::interchange::colmap;
-    use crate::io::{FolderError, masks};
+    use crate::io::masks;
     use crate::synthetic::showcase::{Showcase, showcase};
     use crate::synthetic::write_clip;
     use crate::video::Options;
@@ -288,7 +288,8 @@ mod tests {
         std::fs::write(into.join("vehicles.csv"), "mine").unwrap();
         let refused = all().unwrap_err();
         assert!(
-            refused.folder().is_some_and(FolderError::is_wrong_use) && refused.to_string().contains("vehicles.csv"),
+            matches!(&refused, ExportError::Folder(error) if error.is_wrong_use())
+                && refused.to_string().contains("vehicles.csv"),
             "{refused}"
         );
         assert_eq!(std::fs::read_to_string(into.join("vehicles.csv")).unwrap(), "mine");

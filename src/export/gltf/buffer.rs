@@ -3,11 +3,6 @@
 use nalgebra::{Point3, Vector3};
 use serde_json::{Value, json};
 
-/// Numbers of four bytes.
-const FLOAT: u32 = 5126;
-/// Whole numbers of two bytes, which stand for 0 to 1.
-const UNSIGNED_SHORT: u32 = 5123;
-
 /// Bytes, and where in them lies what.
 #[derive(Default)]
 pub(super) struct Buffer {
@@ -53,13 +48,15 @@ impl Buffer {
         let light = |value: u8| (linear(value) * f64::from(u16::MAX)).round() as u16;
         let bytes = colours.iter().flat_map(|&[r, g, b]| [light(r), light(g), light(b), u16::MAX]);
         let bytes: Vec<u8> = bytes.flat_map(u16::to_le_bytes).collect();
-        let accessor = json!({ "componentType": UNSIGNED_SHORT, "normalized": true, "type": "VEC4" });
+        // Integers of two bytes, which represent 0 to 1.
+        let accessor = json!({ "componentType": 5123, "normalized": true, "type": "VEC4" });
         self.add(&bytes, colours.len(), accessor, json!({}))
     }
 
     fn floats<const N: usize>(&mut self, values: &[[f32; N]], kind: &str, bounds: Value) -> usize {
         let bytes: Vec<u8> = values.iter().flatten().flat_map(|value| value.to_le_bytes()).collect();
-        self.add(&bytes, values.len(), json!({ "componentType": FLOAT, "type": kind }), bounds)
+        // Numbers of four bytes.
+        self.add(&bytes, values.len(), json!({ "componentType": 5126, "type": kind }), bounds)
     }
 
     fn add(&mut self, bytes: &[u8], count: usize, accessor: Value, bounds: Value) -> usize {

@@ -23,12 +23,6 @@ use crate::io::{IoError, RunFolder, atomic};
 use crate::scene::{ObjectId, ObjectTrajectory, Reconstruction};
 use scene::Scene;
 
-/// `glTF` and the version of its container.
-const MAGIC: &[u8; 4] = b"glTF";
-const CONTAINER_VERSION: u32 = 2;
-const HEADER_BYTES: usize = 12;
-const CHUNK_HEADER_BYTES: usize = 8;
-
 /// The models of the vehicles that have a trajectory.
 ///
 /// # Errors
@@ -55,14 +49,16 @@ pub(super) fn write(
 fn container(path: &Path, document: &Value, buffer: &[u8]) -> Result<Vec<u8>, ExportError> {
     let mut text = serde_json::to_vec(document).map_err(|error| IoError::content(path, error.to_string()))?;
     text.resize(text.len().next_multiple_of(4), b' ');
-    let total = HEADER_BYTES + 2 * CHUNK_HEADER_BYTES + text.len() + buffer.len();
+    // Twelve bytes in front of the file, eight in front of each of its two parts.
+    let total = 12 + 2 * 8 + text.len() + buffer.len();
     let too_large = || ExportError::TooLarge {
         path: path.to_owned(),
         problem: format!("scene of {total} bytes, a .glb file holds at most 4 GiB"),
     };
     let length = |bytes: usize| u32::try_from(bytes).map_err(|_| too_large());
-    let mut bytes = MAGIC.to_vec();
-    for number in [CONTAINER_VERSION, length(total)?] {
+    let mut bytes = b"glTF".to_vec();
+    // The version of the container.
+    for number in [2, length(total)?] {
         bytes.extend(number.to_le_bytes());
     }
     for (kind, chunk) in [(b"JSON", text.as_slice()), (b"BIN\0", buffer)] {

@@ -13,11 +13,6 @@ use crate::math::Sim3;
 use crate::report::object_colour;
 use crate::scene::{GroundTrack, ObjectId, ObjectTrajectory, Reconstruction};
 
-/// The camera's near plane, as a share of its distance to the middle of the points.
-const NEAR: f64 = 1e-3;
-/// Colour of what belongs to the camera.
-const CAMERA_COLOUR: [u8; 3] = [240, 200, 40];
-
 /// Topology of primitives.
 #[derive(Clone, Copy)]
 pub(super) enum Mode {
@@ -130,7 +125,7 @@ impl<'a> Scene<'a> {
             "name": "camera", "camera": 0, "translation": translation, "rotation": rotation,
         }));
         self.animate(node, &times, &places, &turns);
-        self.add_way("camera path", &places, CAMERA_COLOUR);
+        self.add_way("camera path", &places, [240, 200, 40]);
     }
 
     /// A node that moves, and the line that it draws.
@@ -276,27 +271,24 @@ impl<'a> Scene<'a> {
         self.channels.push(json!({ "sampler": sampler, "target": { "node": node, "path": path } }));
     }
 
+    /// The camera's near plane: a share of its distance to the middle of the points.
     fn near(&self, view: &RegisteredFrame) -> f64 {
         let center = view.cam_from_world.center();
         let distances = self.results.background.points.values().map(|point| (point.position - center).norm());
         let middle = crate::math::median(distances.collect()).unwrap_or(1.0);
-        (NEAR * middle * self.scene_from_world.scale).max(f64::from(f32::MIN_POSITIVE))
+        (1e-3 * middle * self.scene_from_world.scale).max(f64::from(f32::MIN_POSITIVE))
     }
 }
 
-/// Points beyond so many times the distance within which [`NEAR_SHARE`] of them lie are outliers: views of the whole
-/// scene, which programs open with, would show a dot.
-const NEAR_FACTOR: f64 = 3.0;
-const NEAR_SHARE: f64 = 0.95;
-
-/// Indices of the points that are no outliers, by their distance from the median point.
+/// Indices of the points that are no outliers, by their distance from the median point: at most three times that within
+/// which 95 % of them are. Views of the whole scene, which programs open with, would show a dot.
 fn near_points(points: &[Point3<f64>]) -> Vec<usize> {
     let middle = |axis: usize| crate::math::median(points.iter().map(|point| point[axis]).collect()).unwrap_or(0.0);
     let center = Point3::new(middle(0), middle(1), middle(2));
     let distances: Vec<f64> = points.iter().map(|point| (point - center).norm()).collect();
     let mut sorted = distances.clone();
     sorted.sort_by(f64::total_cmp);
-    let limit = sorted.get((NEAR_SHARE * points.len() as f64) as usize).map_or(0.0, |near| NEAR_FACTOR * near);
+    let limit = sorted.get((0.95 * points.len() as f64) as usize).map_or(0.0, |near| 3.0 * near);
     (0..points.len()).filter(|&index| distances[index] <= limit).collect()
 }
 

@@ -4,9 +4,6 @@ use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::math::Sim3;
 
-/// Points beyond this share on either side are left out: a few are always wrong.
-const OUTSIDE: f64 = 0.02;
-
 /// The twelve edges of a box round most of the points, two ends each, in the object's frame: upright in the scene, and
 /// along the way that the vehicle goes. `None` without points.
 ///
@@ -18,7 +15,8 @@ pub(super) fn box_edges(points: &[Point3<f64>], scene_from_object: &[Sim3]) -> O
     for (k, axis) in axes.column_iter().enumerate() {
         let mut along: Vec<f64> = points.iter().map(|point| axis.dot(&point.coords)).collect();
         along.sort_by(f64::total_cmp);
-        let outside = (OUTSIDE * along.len() as f64) as usize;
+        // A few points are always wrong.
+        let outside = (0.02 * along.len() as f64) as usize;
         (low[k], high[k]) = (*along.get(outside)?, *along.get(along.len() - 1 - outside)?);
     }
     let corner = |bits: usize| {
