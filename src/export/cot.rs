@@ -4,7 +4,6 @@
 //! horizontal, `le` vertical, each 1σ. Times are universal ones, without which the format does not exist. Rejected
 //! trajectories are left out. A vehicle without a usable trajectory has the positions of its ground track.
 
-use std::io::Write;
 use std::path::Path;
 
 use quick_xml::Writer;
@@ -12,7 +11,6 @@ use quick_xml::Writer;
 use super::results::Fix;
 use super::xml::{self, Xml, allowed, element};
 use super::{ExportError, Results};
-use crate::io::atomic;
 use crate::math::median;
 use crate::scene::{GroundTrack, GroundTrackTrust, ObjectId, ObjectTrajectory};
 use crate::telemetry;
@@ -81,10 +79,6 @@ struct Vehicle {
 /// Writes the events, ascending in time.
 pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
     let start_s = results.clock().utc_start_s().ok_or(ExportError::NoUtc)?;
-    Ok(atomic::write_with(path, |out| document(out, results, start_s))?)
-}
-
-fn document(out: &mut dyn Write, results: &Results, start_s: f64) -> std::io::Result<()> {
     let vehicles = vehicles(results);
     let mut events: Vec<(&Vehicle, &Fix, f64)> = Vec::new();
     for vehicle in &vehicles {
@@ -95,7 +89,7 @@ fn document(out: &mut dyn Write, results: &Results, start_s: f64) -> std::io::Re
     }
     // Stable: vehicles of one time stay in the order of their ids.
     events.sort_by(|(_, a, _), (_, b, _)| a.time_s.total_cmp(&b.time_s));
-    xml::document(out, "events", &[], |xml| {
+    xml::write(path, "events", &[], |xml| {
         let described = |(vehicle, fix, valid_s): &(&Vehicle, &Fix, f64)| {
             event(xml, &described(results, vehicle, fix, start_s, *valid_s))
         };

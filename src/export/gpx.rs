@@ -1,23 +1,15 @@
 //! GPX 1.1: the camera's way as one track. It has times where dates are known, and heights where they are absolute
 //! ones.
 
-use std::io::Write;
 use std::path::Path;
 
 use super::xml::{self, Xml, element};
 use super::{ExportError, Results};
-use crate::io::atomic;
-
-const ATTRIBUTES: [(&str, &str); 3] =
-    [("version", "1.1"), ("creator", "tractrix"), ("xmlns", "http://www.topografix.com/GPX/1/1")];
 
 /// Writes the camera's way.
 pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
-    Ok(atomic::write_with(path, |out| document(out, results))?)
-}
-
-fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
-    xml::document(out, "gpx", &ATTRIBUTES, |xml| {
+    let attributes = [("version", "1.1"), ("creator", "tractrix"), ("xmlns", "http://www.topografix.com/GPX/1/1")];
+    xml::write(path, "gpx", &attributes, |xml| {
         xml.create_element("trk").write_inner_content(|xml| {
             element(xml, "name", &format!("camera of {}", results.title))?;
             xml.create_element("trkseg").write_inner_content(|xml| points(xml, results))?;

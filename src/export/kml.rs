@@ -4,20 +4,15 @@
 //! so. Vehicles are laid on the ground of the globe, since its ground is not that of the reconstruction; the camera
 //! stands at its height.
 
-use std::io::Write;
 use std::path::Path;
 
 use super::results::Fix;
 use super::units::KM_H;
 use super::xml::{self, Xml, element};
 use super::{Clock, ExportError, Facts, Results};
-use crate::io::atomic;
 use crate::math::rounding::with_std;
 use crate::report::object_colour;
 use crate::scene::{GroundTrack, ObjectTrajectory};
-
-const NAMESPACES: [(&str, &str); 2] =
-    [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
 
 /// Content of one track.
 struct Track {
@@ -32,15 +27,12 @@ struct Track {
 
 /// Writes the ways of vehicles and camera.
 pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
-    Ok(atomic::write_with(path, |out| document(out, results))?)
-}
-
-fn document(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| vehicle(results, object));
     let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| ground_track(results, track));
     let tracks = vehicles.chain(ground_tracks).chain([camera(results)]);
-    xml::document(out, "kml", &NAMESPACES, |xml| {
+    let namespaces = [("xmlns", "http://www.opengis.net/kml/2.2"), ("xmlns:gx", "http://www.google.com/kml/ext/2.2")];
+    xml::write(path, "kml", &namespaces, |xml| {
         xml.create_element("Document").write_inner_content(|xml| {
             element(xml, "name", &results.title)?;
             element(xml, "description", clock.in_words())?;

@@ -4,14 +4,13 @@
 //! ground tracks are left out: neither form can say that a position is uncertain.
 
 use std::collections::BTreeMap;
-use std::io::Write;
 use std::path::Path;
 
 use super::results::motions;
 use super::table::write as write_table;
 use super::xml::{self, Xml};
 use super::{ExportError, Results};
-use crate::io::{ExportFolder, atomic};
+use crate::io::ExportFolder;
 use crate::scene::{Motion, ObjectTrajectory};
 
 /// A vehicle at a time.
@@ -44,17 +43,13 @@ fn samples_of(object: &ObjectTrajectory) -> Vec<Sample<'_>> {
 
 /// SUMO's floating car data (FCD): a `timestep` per time, with a `vehicle` each.
 pub(super) fn write_sumo(path: &Path, results: &Results) -> Result<(), ExportError> {
-    Ok(atomic::write_with(path, |out| sumo(out, results))?)
-}
-
-fn sumo(out: &mut dyn Write, results: &Results) -> std::io::Result<()> {
     let samples = samples(results);
     let mut by_time: BTreeMap<String, Vec<&Sample>> = BTreeMap::new();
     for sample in samples.iter().flatten() {
         // Texts of one width have the order of their numbers.
         by_time.entry(format!("{:012.3}", sample.time_s)).or_default().push(sample);
     }
-    xml::document(out, "fcd-export", &[], |xml| {
+    xml::write(path, "fcd-export", &[], |xml| {
         for samples in by_time.values() {
             let time = format!("{:.3}", samples[0].time_s);
             xml.create_element("timestep")

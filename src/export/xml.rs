@@ -1,24 +1,31 @@
 //! Documents in XML.
 
 use std::io::Write;
+use std::path::Path;
 
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesText, Event};
 
+use super::ExportError;
+use crate::io::atomic;
+
 /// A document that is being written.
 pub(super) type Xml<'a> = Writer<&'a mut dyn Write>;
 
-/// Writes a document with its root element.
-pub(super) fn document<'a>(
-    out: &'a mut dyn Write,
+/// Writes a file with its root element.
+pub(super) fn write(
+    path: &Path,
     root: &str,
     attributes: &[(&str, &str)],
-    content: impl FnOnce(&mut Xml<'a>) -> std::io::Result<()>,
-) -> std::io::Result<()> {
-    let mut xml = Writer::new_with_indent(out, b' ', 1);
-    xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
-    xml.create_element(root).with_attributes(attributes.iter().copied()).write_inner_content(content)?;
-    xml.into_inner().write_all(b"\n")
+    content: impl FnOnce(&mut Xml) -> std::io::Result<()>,
+) -> Result<(), ExportError> {
+    let document = |out: &mut dyn Write| {
+        let mut xml = Writer::new_with_indent(out, b' ', 1);
+        xml.write_event(Event::Decl(BytesDecl::new("1.0", Some("UTF-8"), None)))?;
+        xml.create_element(root).with_attributes(attributes.iter().copied()).write_inner_content(content)?;
+        xml.into_inner().write_all(b"\n")
+    };
+    Ok(atomic::write_with(path, document)?)
 }
 
 /// An element that holds text.
