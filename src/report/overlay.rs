@@ -137,16 +137,11 @@ pub struct Thumbnail {
 }
 
 impl Thumbnail {
-    /// Shrinks a frame's picture, draws its masks over it and encodes it: the picture itself need not be kept.
+    /// Shrinks a frame's picture, draws silhouettes over it and encodes it: the picture itself need not be kept.
     ///
     /// # Errors
     /// [`ReportError::Picture`] if the picture is empty.
-    pub fn new(frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<Self, ReportError> {
-        Self::of(frame, picture, &Silhouette::of_all(masks))
-    }
-
-    /// As [`Self::new`], of silhouettes.
-    pub(super) fn of(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
+    pub(super) fn new(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
         let small = drawn(shrunk(picture, 400)?, silhouettes);
         let (width, height) = small.dimensions();
         let jpeg = jpeg(&small, 74).map_err(|source| ReportError::Picture { frame: frame.0, source })?;
@@ -222,7 +217,8 @@ mod tests {
     fn thumbnails_are_small_and_know_where_the_objects_are() {
         let picture = RgbImage::from_pixel(1920, 1080, Rgb([30, 60, 90]));
         let mask = Mask::from_fn(1920, 1080, |x, y| (960..1920).contains(&x) && y >= 540);
-        let thumbnail = Thumbnail::new(FrameId(7), &picture, &[(ObjectId(3), &mask)]).unwrap();
+        let silhouettes = Silhouette::of_all(&[(ObjectId(3), &mask)]);
+        let thumbnail = Thumbnail::new(FrameId(7), &picture, &silhouettes).unwrap();
         assert_eq!((thumbnail.width, thumbnail.height), (400, 225));
         assert_eq!(thumbnail.labels, [Label { object: ObjectId(3), x: 0.75, y: 0.5 }]);
         let decoded = image::load_from_memory(&thumbnail.jpeg).unwrap().to_rgb8();

@@ -82,7 +82,7 @@ impl PictureMaker {
     pub fn push(&mut self, frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<(), ReportError> {
         let silhouettes = Silhouette::of_all(masks);
         if self.of_strip.contains(&frame) {
-            self.strip.push(Thumbnail::of(frame, picture, &silhouettes)?);
+            self.strip.push(Thumbnail::new(frame, picture, &silhouettes)?);
         }
         for silhouette in &silhouettes {
             self.keep_portrait(picture, silhouette)?;
