@@ -36,7 +36,7 @@ pub(super) fn pages(args: &ManualArgs, program: Command, form: Form) -> Result<(
     let folder = &args.output;
     let written = fs::create_dir_all(folder).and_then(|()| clap_mangen::generate_to(program, folder));
     written.with_context(|| format!("{}: the manual pages cannot be written", folder.display()))?;
-    show(form, &json!({ "folder": folder }), || format!("manual pages: {}\n", folder.display()))
+    show(form, &json!({ "folder": folder.to_string_lossy() }), || format!("manual pages: {}\n", folder.display()))
 }
 
 #[cfg(test)]

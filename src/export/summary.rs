@@ -203,8 +203,9 @@ impl Row {
         let geometry =
             self.place.map(|place| json!({ "type": "Point", "coordinates": [place.longitude, place.latitude] }));
         let mut properties = json!({
-            "run": self.run,
-            "input": self.input,
+            // Paths need not be UTF-8.
+            "run": self.run.to_string_lossy(),
+            "input": self.input.as_ref().map(|input| input.to_string_lossy()),
             "metres": self.metres,
             "metres_reason": self.metres_reason,
             "date": self.date,
@@ -267,6 +268,8 @@ fn ground_track_in_words(track: &GroundTrack) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::os::unix::ffi::OsStringExt;
+
     use super::*;
     use crate::export::testing::{results, with_metres, write_run};
 
@@ -301,6 +304,12 @@ mod tests {
         assert_eq!(features["features"][0]["properties"]["mean_speed_m_s"], 8.0);
         assert_eq!(features["features"][4]["geometry"], Value::Null);
         assert_eq!(Summary::of(&[at("runs"), at("gone")]), summary);
+    }
+
+    #[test]
+    fn names_of_folders_need_not_be_utf_8() {
+        let folder = PathBuf::from(std::ffi::OsString::from_vec(b"gone-\xff".to_vec()));
+        assert_eq!(Summary::of(&[folder]).to_geojson()["features"][0]["properties"]["run"], "gone-\u{fffd}");
     }
 
     #[test]

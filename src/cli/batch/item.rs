@@ -157,7 +157,9 @@ impl Item {
         self.note_other_index();
         if self.folder_state() == FolderState::Done {
             let report = RunFolder::at(&self.output).report();
-            let value = json!({ "output": self.output, "report": report, "done_before": true });
+            // Paths need not be UTF-8.
+            let (output, page) = (self.output.to_string_lossy(), report.to_string_lossy());
+            let value = json!({ "output": output, "report": page, "done_before": true });
             return show(form, &value, || format!("{}\n", report.display()));
         }
         let threads = resources::threads(self.options.threads);
