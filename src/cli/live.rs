@@ -17,7 +17,6 @@ mod source;
 mod telemetry;
 mod updates;
 
-use std::ffi::OsString;
 use std::fs::File;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
@@ -27,6 +26,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, anyhow};
 
+use super::Call;
 use super::job::{JobArgs, resolve, use_machine};
 use super::output::{Failure, Form};
 use super::recording;
@@ -69,32 +69,27 @@ pub(super) struct LiveArgs {
 ///
 /// # Errors
 /// A source that cannot be read or decoded, an earlier recording without `--overwrite`, a full disk.
-pub(super) fn run(args: &LiveArgs, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
+pub(super) fn run(args: &LiveArgs, call: Call) -> Result<(), Failure> {
     let job = &args.job;
     let (source, mut options) = resolve(job, Stage::Report)?;
     args.network.check()?;
     check_map_points(&options.metric).map_err(|error| Failure::Usage(error.to_string()))?;
     use_machine(&options)?;
-    let recorded = follow(&source, args, &mut options, form, talk)?;
-    if let Some(signal) = talk.stopped_by() {
+    let recorded = follow(&source, args, &mut options, call)?;
+    if let Some(signal) = call.talk.stopped_by() {
         let (path, output) = (recorded.display(), job.output.display());
-        talk.say(&format!("stopped; run the recording with `tractrix run {path} --output {output}`"));
+        call.talk.say(&format!("stopped; run the recording with `tractrix run {path} --output {output}`"));
         return Err(Failure::Stopped(signal));
     }
     match args.no_final_run {
         true => Ok(()),
-        false => run::run_on(&recorded, job, &options, Stage::Report, arguments, form, talk),
+        false => run::run_on(&recorded, job, &options, Stage::Report, call),
     }
 }
 
 /// Follows a source to its end; gives the recording. Options name the recorded telemetry afterwards.
-fn follow(
-    source: &Path,
-    args: &LiveArgs,
-    options: &mut Options,
-    form: Form,
-    talk: &TerminalProgress,
-) -> Result<PathBuf, Failure> {
+fn follow(source: &Path, args: &LiveArgs, options: &mut Options, call: Call) -> Result<PathBuf, Failure> {
+    let Call { form, talk, .. } = call;
     let job = &args.job;
     let Source { mut input, is_file, receiver } = source::open(source)?;
     let folder = recording::own(&job.output)?;

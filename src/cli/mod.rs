@@ -110,8 +110,18 @@ fn form(args: &Args) -> Form {
     }
 }
 
+/// What a command gets besides its own flags.
+#[derive(Clone, Copy)]
+struct Call<'a> {
+    /// The command line.
+    arguments: &'a [OsString],
+    form: Form,
+    talk: &'a TerminalProgress,
+}
+
 fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Result<(), Failure> {
     let form = form(args);
+    let call = Call { arguments, form, talk };
     match &args.command {
         Command::Run(job)
         | Command::Segment(job)
@@ -119,12 +129,12 @@ fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Res
         | Command::Sfm(job)
         | Command::Ground(job)
         | Command::Scale(job)
-        | Command::Metric(job) => run::run(job, args.command.goal(), arguments, form, talk),
-        Command::Live(own) => live::run(own, arguments, form, talk),
-        Command::Batch(own) => batch::run(own, arguments, form, talk),
+        | Command::Metric(job) => run::run(job, args.command.goal(), call),
+        Command::Live(own) => live::run(own, call),
+        Command::Batch(own) => batch::run(own, call),
         Command::Evaluate(own) => evaluate::run(own, form),
-        Command::Benchmark(own) => benchmark::run(own, arguments, form, talk),
-        Command::Calibrate(own) => calibrate::run(own, arguments, form, talk),
+        Command::Benchmark(own) => benchmark::run(own, call),
+        Command::Calibrate(own) => calibrate::run(own, call),
         Command::Compare(own) => compare::run(own, arguments, form),
         Command::Convert(own) => convert::run(own, form),
         Command::Export(own) => export::run(own, form, talk),

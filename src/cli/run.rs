@@ -1,8 +1,8 @@
 //! `run` and the commands that do a part of it.
 
-use std::ffi::OsString;
 use std::path::Path;
 
+use super::Call;
 use super::common::lossy;
 use super::job::{JobArgs, resolve, use_machine};
 use super::models;
@@ -15,32 +15,18 @@ use crate::io::RunFolder;
 use crate::pipeline::{self, Job, Options, Overwrite, Stage, Summary};
 use crate::scene::Trajectories;
 
-pub(super) fn run(
-    job: &JobArgs,
-    goal: Stage,
-    arguments: &[OsString],
-    form: Form,
-    talk: &TerminalProgress,
-) -> Result<(), Failure> {
+pub(super) fn run(job: &JobArgs, goal: Stage, call: Call) -> Result<(), Failure> {
     let (mut input, options) = resolve(job, goal)?;
     use_machine(&options)?;
     if input == Path::new(recording::STDIN) {
         input = recording::record(&job.output, job.overwrite)?;
     }
-    run_on(&input, job, &options, goal, arguments, form, talk)
+    run_on(&input, job, &options, goal, call)
 }
 
 /// As [`run`], on a given input with given options.
-pub(super) fn run_on(
-    input: &Path,
-    job: &JobArgs,
-    options: &Options,
-    goal: Stage,
-    arguments: &[OsString],
-    form: Form,
-    talk: &TerminalProgress,
-) -> Result<(), Failure> {
-    let arguments = lossy(arguments);
+pub(super) fn run_on(input: &Path, job: &JobArgs, options: &Options, goal: Stage, call: Call) -> Result<(), Failure> {
+    let arguments = lossy(call.arguments);
     let task = Job {
         input,
         output: &job.output,
@@ -50,7 +36,7 @@ pub(super) fn run_on(
         overwrite: if job.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
         arguments: &arguments,
     };
-    perform(&task, form, talk)
+    perform(&task, call.form, call.talk)
 }
 
 /// Does a run and prints what came of it.

@@ -18,9 +18,9 @@ use anyhow::Context;
 use clap::ArgGroup;
 use rustix::process::{Signal, getpid, getppid, kill_process, set_parent_process_death_signal};
 
+use super::Call;
 use super::job::JobArgs;
-use super::output::{Failure, Form};
-use super::terminal::TerminalProgress;
+use super::output::Failure;
 use crate::memory::MemoryLimit;
 use item::Maker;
 use list::List;
@@ -61,24 +61,24 @@ fn list_flag(flag: clap::Arg) -> clap::Arg {
     flag.value_name("LIST").help(list).long_help(format!("{list}\n\n{lines}"))
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, call: Call) -> Result<(), Failure> {
     let path = &args.job.input;
     let list = args.entry.as_ref().map_or_else(|| List::open(path), |handed| List::of_handed(path, handed))?;
     let maker = Maker::new(args, &list);
     match (args.index, args.jobs) {
         (Some(index), _) => {
             args.parent.map_or(Ok(()), end_with_parent)?;
-            let arguments = words::alone(arguments, index, &[]);
+            let arguments = words::alone(call.arguments, index, &[]);
             let entry = list.entry(if args.entry.is_some() { 0 } else { index })?;
-            maker.item(index, entry)?.work(&arguments, form, talk)
+            maker.item(index, entry)?.work(&arguments, call.form, call.talk)
         }
         (None, Some(jobs)) => {
             let common = &args.job.common;
             let memory = common.memory_limit.unwrap_or_else(MemoryLimit::of_machine);
             let share = Share { jobs, threads: common.threads, memory };
-            side_by_side::run(&list, &maker, share, arguments, form, talk)
+            side_by_side::run(&list, &maker, share, call)
         }
-        (None, None) => status::run(args, &list, &maker, form),
+        (None, None) => status::run(args, &list, &maker, call.form),
     }
 }
 

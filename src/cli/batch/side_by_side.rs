@@ -17,6 +17,7 @@ use super::list::{Entry, List};
 use super::resources::{MEMORY_OF_A_JOB, threads};
 use super::status::{Fate, State, counted, show_counts};
 use super::words::alone;
+use crate::cli::Call;
 use crate::cli::output::{Failure, Form};
 use crate::cli::terminal::TerminalProgress;
 use crate::memory::MemoryLimit;
@@ -49,14 +50,8 @@ struct Running {
 ///
 /// # Errors
 /// There is one that failed (exit code 1), or that has to be started again (75); or a signal came.
-pub(super) fn run(
-    list: &List,
-    maker: &Maker,
-    share: Share,
-    arguments: &[OsString],
-    form: Form,
-    talk: &TerminalProgress,
-) -> Result<(), Failure> {
+pub(super) fn run(list: &List, maker: &Maker, share: Share, call: Call) -> Result<(), Failure> {
+    let Call { arguments, form, talk } = call;
     maker.check()?;
     let most = at_a_time(share.jobs.get().min(list.len()), share.memory, talk);
     let part = part(share, most);

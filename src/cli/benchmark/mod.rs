@@ -10,15 +10,15 @@ pub(super) mod single;
 #[cfg(test)]
 mod tests;
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use anyhow::Context;
 use serde_json::json;
 
+use super::Call;
 use super::common::{CommonArgs, lossy};
 use super::job::use_machine;
-use super::output::{Failure, Form, show};
+use super::output::{Failure, show};
 use super::terminal::TerminalProgress;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, OwnedFolder, PathRole, RunFolder, refuse_own_input};
@@ -96,7 +96,7 @@ pub(super) struct Args {
     pub(super) common: CommonArgs,
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, Call { arguments, form, talk }: Call) -> Result<(), Failure> {
     let options = options(args)?;
     let ablated = args.ablate.as_deref().map(Ablation::listed).transpose().map_err(Failure::Usage)?.unwrap_or_default();
     let SequenceFolders { sequences, left_out } = find(&args.folder, &args.only, &args.output)?;

@@ -11,19 +11,18 @@ mod degrade;
 mod tests;
 mod variant;
 
-use std::ffi::OsString;
 use std::path::{Path, PathBuf};
 
 use serde_json::json;
 
 use self::case::Setting;
 use self::variant::{Kind, Variant};
+use super::Call;
 use super::benchmark::sequences::find;
 use super::benchmark::single::stands_in_every_way;
 use super::common::{CommonArgs, lossy, named};
 use super::job::use_machine;
-use super::output::{Failure, Form, show};
-use super::terminal::TerminalProgress;
+use super::output::{Failure, show};
 use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
 use crate::eval::spread::RunResult;
 use crate::io::{OwnedFolder, PathRole, RunFolder};
@@ -73,7 +72,7 @@ pub(super) struct Args {
     pub(super) common: CommonArgs,
 }
 
-pub(super) fn run(args: &Args, arguments: &[OsString], form: Form, talk: &TerminalProgress) -> Result<(), Failure> {
+pub(super) fn run(args: &Args, Call { arguments, form, talk }: Call) -> Result<(), Failure> {
     let variants = Variant::all(&args.variants).map_err(Failure::Usage)?;
     let mut options = args.common.options()?;
     if let Some(stationary) = args.stationary {
