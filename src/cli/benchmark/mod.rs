@@ -27,7 +27,7 @@ use crate::report::benchmark as pages;
 use crate::scene::Topic;
 use crate::video::Position;
 use ablate::Ablating;
-use sequences::{SequenceFolders, find};
+use sequences::{SequenceFolders, find, role};
 use single::Attempt;
 
 /// Version of `benchmark.json`.
@@ -119,9 +119,8 @@ pub(super) fn run(args: &Args, Call { arguments, form, talk }: Call) -> Result<(
         program: crate::VERSION.into(),
         arguments: arguments.clone(),
         num_sequences: sequences.len(),
-        sequences: Vec::new(),
         left_out,
-        paper: Vec::new(),
+        ..Benchmark::default()
     };
     let mut ablating = Ablating::new(ablated, &options, &output);
     for (k, folder) in sequences.iter().enumerate() {
@@ -204,17 +203,9 @@ fn read(path: &Path) -> Result<Benchmark, Failure> {
     Ok(benchmark)
 }
 
-/// Role of a path in a benchmark's folder, besides the sequences' own output folders.
 fn place(relative: &Path) -> PathRole {
-    let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
-    match parts[..] {
-        [] => PathRole::Folder,
-        [RunFolder::STATE, ..] => PathRole::State,
-        [JSON | MARKDOWN | TRAJECTORY_ERROR | SCALE_DEVIATION | ESTIMATORS | ablate::JSON | ablate::MARKDOWN] => {
-            PathRole::File
-        }
-        _ => PathRole::Elsewhere,
-    }
+    let own = [JSON, MARKDOWN, TRAJECTORY_ERROR, SCALE_DEVIATION, ESTIMATORS, ablate::JSON, ablate::MARKDOWN];
+    role(relative, |name| own.contains(&name))
 }
 
 fn write(benchmark: &Benchmark, others: &[Benchmark], output: &OwnedFolder) -> anyhow::Result<()> {

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use anyhow::Context;
 
 use crate::cli::output::Failure;
-use crate::io::Sequence;
+use crate::io::{PathRole, RunFolder, Sequence};
 
 /// The folders of a data set.
 pub(in crate::cli) struct SequenceFolders {
@@ -53,6 +53,19 @@ pub(in crate::cli) fn find(folder: &Path, only: &[String], output: &Path) -> Res
         _ => return Ok(found),
     };
     Err(anyhow::anyhow!("{}: {problem}", folder.display()).into())
+}
+
+/// Role of a path in the folder of a benchmark or a calibration, besides the runs' own output folders.
+///
+/// * `is_own` – true for the names of its files.
+pub(in crate::cli) fn role(relative: &Path, is_own: impl Fn(&str) -> bool) -> PathRole {
+    let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
+    match parts[..] {
+        [] => PathRole::Folder,
+        [RunFolder::STATE, ..] => PathRole::State,
+        [name] if is_own(name) => PathRole::File,
+        _ => PathRole::Elsewhere,
+    }
 }
 
 /// Vehicle and trajectory of a sequence: as its `scene.json` says, else from `<trajectory>_<vehicle>`, which folders

@@ -18,14 +18,14 @@ use serde_json::json;
 use self::case::Setting;
 use self::variant::{Kind, Variant};
 use super::Call;
-use super::benchmark::sequences::find;
+use super::benchmark::sequences::{find, role};
 use super::benchmark::single::stands_in_every_way;
 use super::common::{CommonArgs, lossy, named};
 use super::job::use_machine;
 use super::output::{Failure, show};
 use crate::eval::calibration::{Calibration, Case, summarise, summarise_spreads};
 use crate::eval::spread::RunResult;
-use crate::io::{OwnedFolder, PathRole, RunFolder};
+use crate::io::{OwnedFolder, PathRole};
 use crate::pipeline::Overwrite;
 use crate::report::benchmark as pages;
 use crate::scene::{StationaryVehicles, Topic};
@@ -98,8 +98,7 @@ pub(super) fn run(args: &Args, Call { arguments, form, talk }: Call) -> Result<(
         version: VERSION,
         program: crate::VERSION.into(),
         arguments: arguments.clone(),
-        cases: Vec::new(),
-        spreads: Vec::new(),
+        ..Calibration::default()
     };
     let pairs = || sequences.iter().flat_map(|folder| variants.iter().map(move |variant| (folder, *variant)));
     let num = pairs().count();
@@ -161,16 +160,8 @@ fn clips(
     Ok(())
 }
 
-/// Role of a path in a calibration's folder, besides the runs' own output folders.
 fn place(relative: &Path) -> PathRole {
-    let parts: Vec<_> = relative.iter().filter_map(|part| part.to_str()).collect();
-    match parts[..] {
-        [] => PathRole::Folder,
-        [RunFolder::STATE, ..] => PathRole::State,
-        [JSON | MARKDOWN] => PathRole::File,
-        [name] if name.starts_with(CURVES) && name.ends_with(".svg") => PathRole::File,
-        _ => PathRole::Elsewhere,
-    }
+    role(relative, |name| [JSON, MARKDOWN].contains(&name) || name.starts_with(CURVES) && name.ends_with(".svg"))
 }
 
 fn write(calibration: &Calibration, output: &OwnedFolder) -> anyhow::Result<()> {
