@@ -15,7 +15,7 @@ use crate::math::median;
 use crate::scene::{ObjectTrajectory, Trust};
 
 /// Result of a calibration.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Calibration {
     /// Version of this format.
     pub version: u32,

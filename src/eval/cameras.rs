@@ -4,7 +4,6 @@ use nalgebra::Point3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::outcome::Outcome;
 use super::registration::Registration;
 use crate::math::{Rigid3, Sim3, umeyama};
 
@@ -23,21 +22,20 @@ pub struct CameraErrors {
 }
 
 /// Compares (estimated, true) cameras of the frames that have both.
+///
+/// # Errors
+/// Those of the registration.
 pub(super) fn compare_cameras(
     pairs: &[(Rigid3, Rigid3)],
     registration: Result<&Registration, &str>,
-) -> Outcome<CameraErrors> {
-    let registration = match registration {
-        Ok(registration) => registration,
-        Err(reason) => return Outcome::Unavailable { reason: reason.into() },
-    };
-    let world_from_background = registration.world_from_background;
+) -> Result<CameraErrors, String> {
+    let world_from_background = registration?.world_from_background;
     let (estimated, truth): (Vec<_>, Vec<_>) = pairs.iter().map(|(e, t)| (e.center(), t.center())).unzip();
     // Centres on a line have no similarity of their own.
     let best_for_centers = umeyama(&estimated, &truth).unwrap_or(world_from_background);
     let angles_deg: Vec<_> =
         pairs.iter().map(|(e, t)| world_from_background.transform_camera(e).angle_to(t).to_degrees()).collect();
-    Outcome::Ok(CameraErrors {
+    Ok(CameraErrors {
         center_rmse_m: rmse(&best_for_centers, &estimated, &truth),
         registered_center_rmse_m: rmse(&world_from_background, &estimated, &truth),
         rotation_mean_deg: angles_deg.iter().sum::<f64>() / angles_deg.len() as f64,

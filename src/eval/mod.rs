@@ -51,10 +51,8 @@ pub const CLEAR_SHARE: f64 = 0.3;
 /// Compares one run with the truth of its sequence.
 pub fn evaluate(input: &Input) -> Evaluation {
     let cameras = camera_pairs(input);
-    let registration = match &input.background {
-        Ok(_) => Outcome::from(registration::register(&cameras)),
-        Err(reason) => Outcome::Unavailable { reason: reason.clone() },
-    };
+    let background = input.background.as_ref().map_err(Clone::clone);
+    let registration = Outcome::from(background.and_then(|_| registration::register(&cameras)));
     let (target, others) = choose_target(&input.objects);
     let object = target.as_ref().ok().copied();
     let subject = Subject::new(input, &registration, object);
@@ -69,7 +67,7 @@ pub fn evaluate(input: &Input) -> Evaluation {
         sequence: input.sequence.clone(),
         vehicle: input.vehicle.clone(),
         registered: registered_frames(input, object),
-        cameras: cameras::compare_cameras(&cameras, registration.as_ref()),
+        cameras: cameras::compare_cameras(&cameras, registration.as_ref()).into(),
         registration: registration.clone(),
         target: target.map(|o| Target { object: o.id, iou: o.iou }).into(),
         others,

@@ -25,7 +25,7 @@ use super::outcome::Outcome;
 use crate::scene::{ModelState, ScaleMethod};
 
 /// The results on a data set.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Benchmark {
     /// Version of this format.
     pub version: u32,
@@ -349,11 +349,9 @@ pub(crate) mod tests {
             version: 1,
             label: "test".into(),
             program: "0".into(),
-            arguments: vec![],
             num_sequences: sequences.len(),
             sequences,
-            left_out: vec![],
-            paper: vec![],
+            ..Benchmark::default()
         }
     }
 

@@ -64,33 +64,16 @@ const PUBLISHED: [Published; 35] = [
 /// The paper's 35 sequences.
 pub fn published() -> Benchmark {
     let sequences: Vec<_> = PUBLISHED.iter().map(entry).collect();
-    Benchmark {
-        version: 1,
-        label: "paper".into(),
-        program: String::new(),
-        arguments: Vec::new(),
-        num_sequences: sequences.len(),
-        sequences,
-        left_out: Vec::new(),
-        paper: Vec::new(),
-    }
+    Benchmark { version: 1, label: "paper".into(), num_sequences: sequences.len(), sequences, ..Benchmark::default() }
 }
 
 fn entry((vehicle, trajectory, errors, deviations): &Published) -> Entry {
     let estimators = [BASELINE, METHOD].into_iter().zip(errors.iter().zip(deviations));
     let estimator = |(method, (error, deviation)): (ScaleMethod, (&f64, &f64))| {
         // The ratios themselves were not published.
+        let (deviation, trajectory_error_m) = (Some(*deviation), Some(*error));
         let model = ModelState::AsReconstructed;
-        (
-            method,
-            EstimatorResult {
-                model,
-                ratio: None,
-                deviation: Some(*deviation),
-                trajectory_error_m: Some(*error),
-                std: None,
-            },
-        )
+        (method, EstimatorResult { model, ratio: None, deviation, trajectory_error_m, std: None })
     };
     Entry {
         folder: format!("{trajectory}_{vehicle}"),
