@@ -3,8 +3,7 @@
 /// Reductions in the order in which they come into force.
 const REDUCTIONS: [&str; 4] = ["masks at 1 Hz", "detector at 1 Hz", "every second frame", "every fourth frame"];
 /// Time from one look of the detector to the next, and of the mask network, seconds: a run detects twice as often.
-const DETECTOR_S: f64 = 0.4;
-const MASKS_S: f64 = 0.4;
+const USUAL_S: f64 = 0.4;
 /// The same where it is reduced.
 const REDUCED_S: f64 = 1.0;
 /// Time over which load is measured before another reduction, seconds: five looks of the detector.
@@ -45,8 +44,7 @@ impl Load {
 
     /// Seconds between looks of the detector, and of the mask network.
     pub(super) fn periods_s(&self) -> [f64; 2] {
-        let period_s = |usual: f64, reduced_at: usize| if self.level >= reduced_at { REDUCED_S } else { usual };
-        [period_s(DETECTOR_S, 2), period_s(MASKS_S, 1)]
+        [2, 1].map(|reduced_at| if self.level >= reduced_at { REDUCED_S } else { USUAL_S })
     }
 
     pub(super) fn level(&self) -> usize {
@@ -113,7 +111,7 @@ mod tests {
         assert_eq!((0..8).filter(|_| !load.skips()).count(), 2);
         assert!(run(&mut load, 13.5, 16.0, 0.03, false).is_empty(), "not before 5 s without lag");
         assert_eq!(run(&mut load, 16.0, 50.0, 0.03, false), [3, 2, 1, 0]);
-        assert_eq!((load.periods_s(), load.skips()), ([DETECTOR_S, MASKS_S], false));
+        assert_eq!((load.periods_s(), load.skips()), ([USUAL_S; 2], false));
     }
 
     #[test]
