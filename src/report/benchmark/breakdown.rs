@@ -141,13 +141,7 @@ mod tests {
     #[test]
     fn what_is_swept_has_a_chart_and_what_failed_a_cross() {
         let cases = vec![case(4.0, Some(0.01)), case(8.0, Some(-0.3)), case(32.0, None)];
-        let one = Calibration {
-            version: 1,
-            program: String::new(),
-            arguments: vec![],
-            cases: cases[..1].to_vec(),
-            spreads: vec![],
-        };
+        let one = Calibration { cases: cases[..1].to_vec(), ..Calibration::default() };
         assert!(breakdown_charts(&one).unwrap().is_empty());
         let charts = breakdown_charts(&Calibration { cases, ..one }).unwrap();
         assert_eq!((charts.len(), charts[0].0), (1, "noise"));

@@ -159,13 +159,7 @@ mod tests {
             ..Case::default()
         };
         let failed = Case { failure: Some("no | points".into()), ..Case::default() };
-        let all = Calibration {
-            version: 1,
-            program: "0".into(),
-            arguments: vec![],
-            cases: vec![good, failed],
-            spreads: vec![],
-        };
+        let all = Calibration { cases: vec![good, failed], ..Calibration::default() };
         let text = calibration(&all);
         assert!(text.contains("| bridge_van | noise-8 | -1.20 % | 1.00 % |"), "{text}");
         assert!(text.contains("failed: no \\| points") && !text.contains("NaN"), "{text}");

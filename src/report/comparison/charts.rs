@@ -2,7 +2,7 @@
 
 use crate::eval::comparison::{Against, Comparison, ERROR_BIN_PX, ImageDifference, ModelFigures, NUM_ERROR_BINS};
 use crate::report::chart::{Chart, Drawing, Line};
-use crate::report::comparison::{Data, colour, unit};
+use crate::report::comparison::{Data, colour, units};
 use crate::report::ticks::{ticks, whole_ticks};
 
 /// Charts over the images of the reference, in the order of their names.
@@ -38,7 +38,7 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
     };
     let end = names.len().saturating_sub(1).max(1) as f64;
     [
-        chart("Distance of the centers", unit(comparison.unit), of_others(&|image| image.center)),
+        chart("Distance of the centers", units(comparison.unit)[0], of_others(&|image| image.center)),
         chart("Angle between the cameras", "°", of_others(&|image| image.rotation_deg)),
         chart("Reprojection error, mean of each image", "px", errors),
     ]

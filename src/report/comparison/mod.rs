@@ -47,6 +47,7 @@ pub(super) fn colour(side: usize) -> &'static str {
 fn page_context(data: &Data) -> Value {
     let comparison = data.comparison;
     let scene = scene::Scene::new(data);
+    let [unit, one] = units(comparison.unit);
     let names: Vec<&str> = std::iter::once(&comparison.reference)
         .chain(comparison.others.iter().map(|other| &other.subject))
         .map(|subject| subject.name.as_str())
@@ -63,8 +64,8 @@ fn page_context(data: &Data) -> Value {
         charts => charts::charts(data),
         histograms => charts::histograms(&charts::sides(comparison)),
         details,
-        unit => unit(comparison.unit),
-        one => one(comparison.unit),
+        unit,
+        one,
         reference => names[0],
         scene => scene.as_ref().map(json),
         omissions => scene.as_ref().map(scene::Scene::omissions),
@@ -74,18 +75,11 @@ fn page_context(data: &Data) -> Value {
     }
 }
 
-fn unit(unit: LengthUnit) -> &'static str {
+/// The unit of lengths, and as it follows the number 1.
+fn units(unit: LengthUnit) -> [&'static str; 2] {
     match unit {
-        LengthUnit::Metre => "meters",
-        LengthUnit::Reference => "units of the first",
-    }
-}
-
-/// As [`unit`], after the number 1.
-fn one(unit: LengthUnit) -> &'static str {
-    match unit {
-        LengthUnit::Metre => "meter",
-        LengthUnit::Reference => "unit of the first",
+        LengthUnit::Metre => ["meters", "meter"],
+        LengthUnit::Reference => ["units of the first", "unit of the first"],
     }
 }
 
@@ -113,11 +107,9 @@ fn sentence(other: &Against, comparison: &Comparison) -> String {
 }
 
 fn with_unit(length: f64, of: LengthUnit) -> String {
-    let text = super::words::with_unit(length, 3, unit(of));
-    match text.strip_prefix("1 ") {
-        Some(_) => format!("1 {}", one(of)),
-        None => text,
-    }
+    let [unit, one] = units(of);
+    let text = super::words::with_unit(length, 3, unit);
+    if text.starts_with("1 ") { format!("1 {one}") } else { text }
 }
 
 /// Details of one reconstruction, below the charts.

@@ -2,7 +2,9 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
+use minijinja::{Value, context};
 use serde::Serialize;
+use serde_json::json;
 
 use crate::report::data::Data;
 use crate::report::overlay::{Label, css_colour, object_colour, spread};
@@ -12,20 +14,6 @@ use crate::report::timeline::Timeline;
 /// Bytes of JPEG in the strip; pictures are left out to keep to it.
 const MAX_STRIP_BYTES: usize = 5 << 19;
 
-/// A picture of the strip.
-#[derive(Debug, Serialize)]
-pub(super) struct Picture {
-    frame: u32,
-    time: f64,
-    /// Its moment, as it is reported.
-    stamp: String,
-    name: String,
-    width: u32,
-    height: u32,
-    jpeg: String,
-    labels: Vec<PictureLabel>,
-}
-
 #[derive(Debug, Serialize)]
 struct PictureLabel {
     id: u32,
@@ -34,35 +22,22 @@ struct PictureLabel {
     top: f64,
 }
 
-/// The film, for `page.js`.
-#[derive(Debug, Serialize)]
-pub(super) struct FilmJson {
-    /// The MP4 file, in base64.
-    mp4: String,
-    /// Pictures per second of the file.
-    rate: f64,
-    width: u32,
-    height: u32,
-    /// Moment of each picture.
-    times: Vec<f64>,
-    /// Labels of each picture.
-    labels: Vec<Vec<PictureLabel>>,
-}
-
-/// The film; `notes` says if it shows not every frame.
-pub(super) fn film(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Option<FilmJson> {
+/// The film for `page.js`, its MP4 file in base64; `notes` says if it shows not every frame.
+pub(super) fn film(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Option<serde_json::Value> {
     let film = data.pictures.film.as_ref()?;
     if film.frames.len() < data.frames.len() {
         notes.push(format!("The film shows {} of {} frames, evenly spaced.", film.frames.len(), data.frames.len()));
     }
-    Some(FilmJson {
-        mp4: STANDARD.encode(&film.mp4),
-        rate: FILM_RATE,
-        width: film.width,
-        height: film.height,
-        times: film.frames.iter().map(|&frame| timeline.of(frame).unwrap_or_default()).collect(),
-        labels: film.labels.iter().map(|labels| labels.iter().map(PictureLabel::new).collect()).collect(),
-    })
+    let times = film.frames.iter().map(|&frame| timeline.of(frame).unwrap_or_default());
+    let labels = film.labels.iter().map(|labels| labels.iter().map(PictureLabel::new).collect::<Vec<_>>());
+    Some(json!({
+        "mp4": STANDARD.encode(&film.mp4),
+        "rate": FILM_RATE,
+        "width": film.width,
+        "height": film.height,
+        "times": times.collect::<Vec<_>>(),
+        "labels": labels.collect::<Vec<_>>(),
+    }))
 }
 
 impl PictureLabel {
@@ -77,7 +52,7 @@ impl PictureLabel {
 }
 
 /// The pictures that fit; `notes` says what was left out.
-pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Vec<Picture> {
+pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Vec<Value> {
     let total: usize = data.pictures.strip.iter().map(|t| t.jpeg.len()).sum();
     let limit = data.pictures.strip.len() * MAX_STRIP_BYTES / total.max(MAX_STRIP_BYTES);
     let chosen = spread(data.pictures.strip.len(), limit.max(1));
@@ -87,15 +62,15 @@ pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -
     let picture = |i: usize| {
         let thumbnail = &data.pictures.strip[i];
         let frame = data.frames.iter().find(|f| f.id == thumbnail.frame);
-        Picture {
-            frame: thumbnail.frame.0,
-            time: timeline.of(thumbnail.frame).unwrap_or_default(),
-            stamp: timeline.stamp(thumbnail.frame),
-            name: frame.map_or_else(String::new, |f| f.name.clone()),
-            width: thumbnail.width,
-            height: thumbnail.height,
-            jpeg: STANDARD.encode(&thumbnail.jpeg),
-            labels: thumbnail.labels.iter().map(PictureLabel::new).collect(),
+        context! {
+            frame => thumbnail.frame.0,
+            time => timeline.of(thumbnail.frame).unwrap_or_default(),
+            stamp => timeline.stamp(thumbnail.frame),
+            name => frame.map_or("", |f| &f.name),
+            width => thumbnail.width,
+            height => thumbnail.height,
+            jpeg => STANDARD.encode(&thumbnail.jpeg),
+            labels => thumbnail.labels.iter().map(PictureLabel::new).collect::<Vec<_>>(),
         }
     };
     chosen.into_iter().map(picture).collect()
