@@ -13,7 +13,7 @@ use crate::eval::calibration::Case;
 use crate::eval::{Evaluation, Outcome};
 use crate::io::{OwnedFolder, RunFolder, Sequence, TARGET_LABEL};
 use crate::math::median;
-use crate::pipeline::{self, Instances, Job, Options, Overwrite, Stage};
+use crate::pipeline::{self, Instances, Job, Options, Overwrite, PipelineError, Stage, Summary};
 use crate::scene::{ObjectId, Trust};
 use crate::video::Position;
 
@@ -46,7 +46,9 @@ impl Setting<'_> {
     }
 
     fn result(&self, folder: &Path, variant: Variant, output: &Path, case: Case) -> anyhow::Result<Case> {
-        let made = self.made(folder, variant)?;
+        let made = self.made(&case.sequence, variant, |place| {
+            degrade::write(&Sequence::open(folder)?, variant, place, self.options.seed)
+        })?;
         let truth = made.as_deref().unwrap_or(folder);
         let sequence = Sequence::open(truth)?;
         let done = self.run(&sequence, variant, output);
@@ -64,23 +66,37 @@ impl Setting<'_> {
     }
 
     /// The folder of a variant whose pictures or masks differ, written again; `None` for one that needs none.
-    fn made(&self, folder: &Path, variant: Variant) -> anyhow::Result<Option<PathBuf>> {
+    ///
+    /// * `name` – of the sequence or the clip.
+    pub(super) fn made(
+        &self,
+        name: &str,
+        variant: Variant,
+        write: impl FnOnce(&Path) -> anyhow::Result<()>,
+    ) -> anyhow::Result<Option<PathBuf>> {
         if !variant.kind.is_degraded() {
             return Ok(None);
         }
-        let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        let place = self.place_of(&name, variant)?;
-        degrade::write(&Sequence::open(folder)?, variant, &place, self.options.seed)?;
-        Ok(Some(place))
-    }
-
-    /// Where the pictures of a variant are made; what a stopped run left there is gone.
-    pub(super) fn place_of(&self, name: &str, variant: Variant) -> anyhow::Result<PathBuf> {
         let place = self.results.root().join(RunFolder::STATE).join("variants").join(format!("{name}-{variant}"));
+        // A stopped run may have left something there.
         if place.exists() {
             fs::remove_dir_all(&place)?;
         }
-        Ok(place)
+        write(&place)?;
+        Ok(Some(place))
+    }
+
+    /// Runs all stages.
+    pub(super) fn work(
+        &self,
+        input: &Path,
+        output: &Path,
+        options: &Options,
+        also_read: Vec<(&str, &Path)>,
+    ) -> Result<Summary, PipelineError> {
+        let (overwrite, arguments) = (self.overwrite, self.arguments);
+        let job = Job { input, output, options, goal: Stage::Report, also_read, overwrite, arguments };
+        pipeline::run(&job, self.talk)
     }
 
     fn run(&self, sequence: &Sequence, variant: Variant, output: &Path) -> anyhow::Result<Done> {
@@ -96,16 +112,7 @@ impl Setting<'_> {
             }
         };
         apply(variant, &mut options);
-        let job = Job {
-            input: &input,
-            output,
-            options: &options,
-            goal: Stage::Report,
-            also_read: vec![("the sequence", &sequence.folder)],
-            overwrite: self.overwrite,
-            arguments: self.arguments,
-        };
-        let summary = pipeline::run(&job, self.talk)?;
+        let summary = self.work(&input, output, &options, vec![("the sequence", &sequence.folder)])?;
         let evaluation = pipeline::evaluate(output, &sequence.folder)?;
         pipeline::keep_evaluation(output, &sequence.folder, &evaluation)?;
         let target = summary.vehicles.get(&ObjectId(TARGET_LABEL.into()));
@@ -117,17 +124,23 @@ impl Setting<'_> {
 /// The evaluation of a run, and why there is no trajectory, where there is none.
 type Done = (Evaluation, Option<String>);
 
-/// Applies a variant to the options.
-pub(super) fn apply(variant: Variant, options: &mut Options) {
+/// First frame and end of the frames that a variant uses, where it does not use all.
+fn range(variant: Variant) -> [Option<u32>; 2] {
     let level = variant.level as u32;
     match variant.kind {
-        Kind::Frames => options.video.end = Some(Position::Frame(level)),
-        Kind::Window => {
-            options.video.start = Some(Position::Frame(level));
-            options.video.end = Some(Position::Frame(level.saturating_add(WINDOW)));
-        }
-        Kind::Seed => options.seed = variant.level as u64,
-        _ => {}
+        Kind::Frames => [None, Some(level)],
+        Kind::Window => [Some(level), Some(level.saturating_add(WINDOW))],
+        _ => [None, None],
+    }
+}
+
+/// Applies a variant to the options.
+pub(super) fn apply(variant: Variant, options: &mut Options) {
+    let [start, end] = range(variant).map(|index| index.map(Position::Frame));
+    options.video.start = start.or(options.video.start);
+    options.video.end = end.or(options.video.end);
+    if variant.kind == Kind::Seed {
+        options.seed = variant.level as u64;
     }
 }
 
@@ -141,12 +154,8 @@ fn verdict(output: &Path, evaluation: &Evaluation) -> Option<Trust> {
 
 /// Returns true if a variant uses a frame.
 fn is_used(variant: Variant, index: u32) -> bool {
-    let level = variant.level as u32;
-    match variant.kind {
-        Kind::Frames => index < level,
-        Kind::Window => (level..level.saturating_add(WINDOW)).contains(&index),
-        _ => true,
-    }
+    let [start, end] = range(variant);
+    start.is_none_or(|start| index >= start) && end.is_none_or(|end| index < end)
 }
 
 /// Median of the longer side of the target's mask, pixels of the variant.

@@ -1,7 +1,7 @@
 //! A real clip in a variant, next to the clip as it is.
 
 use std::fs;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::case::{Setting, apply};
 use super::degrade;
@@ -9,7 +9,7 @@ use super::variant::{Kind, Variant};
 use crate::eval::calibration::Case;
 use crate::eval::spread::{RunResult, Spread, spreads};
 use crate::io::RunFolder;
-use crate::pipeline::{self, FrameOrder, Instances, Job, Stage};
+use crate::pipeline::{FrameOrder, Instances};
 use crate::video::{Options as VideoOptions, Source};
 
 /// Returns true if a variant is possible with a clip: one that changes masks needs a sequence.
@@ -27,40 +27,22 @@ impl Setting<'_> {
         let mut options = self.options.clone();
         options.instances = Instances::Vehicles;
         apply(variant, &mut options);
-        let made = self.made_of_clip(clip, variant)?;
+        let name = name(clip);
+        let made = self.made(&name, variant, |place| degrade::write_clip(clip, variant, place, self.options.seed))?;
         if made.is_some() {
             // The pictures of a clip follow one another as its frames do.
             let fps = Source::open(clip, &VideoOptions::default())?.info().fps;
             options.video.fps = options.video.fps.or(fps);
             options.order = FrameOrder::Time;
         }
-        let output = self.results.subfolder(&name(clip))?.join(variant.to_string());
+        let output = self.results.subfolder(&name)?.join(variant.to_string());
         let input = made.as_ref().map_or(clip.to_owned(), |made| made.join("images"));
-        let job = Job {
-            input: &input,
-            output: &output,
-            options: &options,
-            goal: Stage::Report,
-            also_read: Vec::new(),
-            overwrite: self.overwrite,
-            arguments: self.arguments,
-        };
-        let done = pipeline::run(&job, self.talk);
+        let done = self.work(&input, &output, &options, Vec::new());
         if let Some(made) = &made {
             fs::remove_dir_all(made)?;
         }
         done?;
         found(&output)
-    }
-
-    /// The folder of a variant whose pictures differ, written again; `None` for one that needs none.
-    fn made_of_clip(&self, clip: &Path, variant: Variant) -> anyhow::Result<Option<PathBuf>> {
-        if !variant.kind.is_degraded() {
-            return Ok(None);
-        }
-        let place = self.place_of(&name(clip), variant)?;
-        degrade::write_clip(clip, variant, &place, self.options.seed)?;
-        Ok(Some(place))
     }
 }
 
