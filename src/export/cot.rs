@@ -249,7 +249,8 @@ mod tests {
             assert!(event["stale"] > event["start"] && event["time"].ends_with('Z'), "{event:?}");
         }
         assert_eq!((events[0]["time"].as_str(), events[0]["how"].as_str()), ("2024-06-01T12:00:00Z", "m-i"));
-        let place = results.place_of(&trusted[0].poses[0]).unwrap();
+        let first = &trusted[0].poses[0];
+        let place = results.place_of(first.position, first.metric.as_ref()).unwrap();
         assert_eq!(
             (&points[0]["lat"], &points[0]["hae"]),
             (&format!("{:.9}", place.latitude), &format!("{:.4}", place.height_m))

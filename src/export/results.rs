@@ -239,20 +239,24 @@ impl Results {
 
     /// Positions of a vehicle on the map.
     pub(super) fn fixes_of(&self, poses: &[ObjectPose]) -> Vec<Fix> {
-        let fix = |pose: &ObjectPose| {
-            let ObjectPose { frame, ref name, time_s, metric, .. } = *pose;
-            Some(Fix { frame, image: name.clone(), time_s, place: self.place_of(pose)?, metric })
-        };
+        let fix = |pose: &ObjectPose| self.fix((pose.frame, &pose.name, pose.time_s), pose.position, pose.metric);
         poses.iter().filter_map(fix).collect()
     }
 
     /// Contact points of a vehicle on the map.
     pub(super) fn fixes_of_contacts(&self, contacts: &[GroundPosition]) -> Vec<Fix> {
-        let fix = |contact: &GroundPosition| {
-            let GroundPosition { frame, ref name, time_s, metric, .. } = *contact;
-            Some(Fix { frame, image: name.clone(), time_s, place: self.place_of_contact(contact)?, metric })
-        };
+        let fix = |at: &GroundPosition| self.fix((at.frame, &at.name, at.time_s), at.position, at.metric);
         contacts.iter().filter_map(fix).collect()
+    }
+
+    fn fix(
+        &self,
+        (frame, image, time_s): (FrameId, &str, f64),
+        position: [f64; 3],
+        metric: Option<MetricPose>,
+    ) -> Option<Fix> {
+        let place = self.place_of(position, metric.as_ref())?;
+        Some(Fix { frame, image: image.to_owned(), time_s, place, metric })
     }
 
     /// Positions of the camera on the map.
@@ -265,16 +269,9 @@ impl Results {
         self.views.iter().filter_map(fix).collect()
     }
 
-    /// Where a contact point is on the map: as the results say, else by its position.
-    pub fn place_of_contact(&self, contact: &GroundPosition) -> Option<MapPlace> {
-        let said = contact.metric.and_then(|metric| metric.place);
-        said.or_else(|| self.place(Point3::from(contact.position)))
-    }
-
-    /// Where an object is on the map in one frame: as the results say, else by its position.
-    pub fn place_of(&self, pose: &ObjectPose) -> Option<MapPlace> {
-        let said = pose.metric.and_then(|metric| metric.place);
-        said.or_else(|| self.place(Point3::from(pose.position)))
+    /// Where a vehicle is on the map in one frame: as the results say, else by its position.
+    pub fn place_of(&self, position: [f64; 3], metric: Option<&MetricPose>) -> Option<MapPlace> {
+        metric.and_then(|metric| metric.place).or_else(|| self.place(Point3::from(position)))
     }
 }
 

@@ -138,8 +138,7 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
     cells.extend(times);
     cells.extend([x, y, z, exact(speed)]);
     cells.extend(metric_cells(pose.metric.as_ref()));
-    let place = results.place_of(pose);
-    cells.extend(place_cells(place));
+    cells.extend(place_cells(results.place_of(pose.position, pose.metric.as_ref())));
     cells
 }
 
@@ -178,13 +177,12 @@ pub(super) fn ground_positions(path: &Path, results: &Results) -> Result<(), Exp
 }
 
 fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, position: &GroundPosition) -> Vec<String> {
-    let place = results.place_of_contact(position);
     let mut cells = vec![track.id.to_string(), track.class.clone(), track.method.name().to_owned()];
     cells.extend([position.frame.0.to_string(), position.name.clone()]);
     cells.extend(clock.time_and_date(&position.name, position.time_s));
     cells.extend(position.position.map(|value| value.to_string()));
     cells.extend(metric_cells(position.metric.as_ref()));
-    cells.extend(place_cells(place));
+    cells.extend(place_cells(results.place_of(position.position, position.metric.as_ref())));
     cells
 }
 
