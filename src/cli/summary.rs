@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use crate::math::rounding::counted;
 use crate::pipeline::{Summary, Vehicle};
-use crate::report::{Verdict, estimate, ground_track_facts, travel_facts};
+use crate::report::{Fact, Verdict, estimate, ground_track_facts, travel_facts};
 use crate::scene::{Dimensions, GroundTrack, Movement, ObjectTrajectory, TimeBase, Trajectories};
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
@@ -51,10 +51,8 @@ fn on_ground(track: &GroundTrack, times: TimeBase) -> String {
     let verdict = track.verdict.as_ref();
     let said = verdict.map(|verdict| format!(": {}. {}", verdict.state.name(), verdict.says)).unwrap_or_default();
     let mut text = format!("     ground track in {}{said}\n", counted(track.positions.len(), "frame"));
-    let travel: Vec<String> =
-        ground_track_facts(track, times).iter().map(|fact| format!("{}: {}", fact.label, fact.value)).collect();
-    if !travel.is_empty() {
-        text += &format!("     on the ground: {}\n", travel.join(", "));
+    if let Some(travel) = in_words(&ground_track_facts(track, times)) {
+        text += &format!("     on the ground: {travel}\n");
     }
     if let Some(omitted) = track.omissions() {
         text += &format!("     no contact with the ground in {omitted}\n");
@@ -69,10 +67,8 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
         format!("  {id}: {class}, 3D position in {placed} of {}{}\n", counted(visible, "frame"), span(found, times));
     // Writing to a string cannot fail.
     let _ = writeln!(text, "     {}", sureness(found));
-    let travel = travel_facts(found, times);
-    if !travel.is_empty() {
-        let said: Vec<String> = travel.iter().map(|fact| format!("{}: {}", fact.label, fact.value)).collect();
-        let _ = writeln!(text, "     {}", said.join(", "));
+    if let Some(travel) = in_words(&travel_facts(found, times)) {
+        let _ = writeln!(text, "     {travel}");
     }
     if let Some(size) = size(found) {
         let _ = writeln!(text, "     size: {size}");
@@ -84,6 +80,12 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
         let _ = writeln!(text, "     no position in {}: {reason}", counted(visible.saturating_sub(placed), "frame"));
     }
     text
+}
+
+/// Facts in a line; `None` where there are none.
+fn in_words(facts: &[Fact]) -> Option<String> {
+    let said: Vec<String> = facts.iter().map(|fact| format!("{}: {}", fact.label, fact.value)).collect();
+    (!said.is_empty()).then(|| said.join(", "))
 }
 
 /// From when to when.

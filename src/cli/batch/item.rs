@@ -67,7 +67,7 @@ impl<'a> Maker<'a> {
     /// # Errors
     /// As [`Self::item`], of the first line that has one.
     pub(super) fn check(&self) -> Result<(), Failure> {
-        job::check(&self.common(Options::default())?)?;
+        job::check(&common(self.args, Options::default())?)?;
         for index in 0..self.list.len() {
             let entry = self.list.entry(index)?;
             match entry.words.is_empty() {
@@ -102,7 +102,7 @@ impl<'a> Maker<'a> {
     /// Wrong use, with the line; a file that is named and is not there.
     pub(super) fn item(&self, index: usize, entry: &Entry) -> Result<Item, Failure> {
         let line = self.parse(entry)?;
-        let resolved = resolve_over(self.common(Options::default())?, &line, Stage::Report);
+        let resolved = resolve_over(common(self.args, Options::default())?, &line, Stage::Report);
         let (input, options) = resolved.map_err(|failure| match failure {
             Failure::Usage(wrong) => self.at(entry, &wrong),
             other => other,
@@ -121,11 +121,6 @@ impl<'a> Maker<'a> {
         })
     }
 
-    /// Options with those of the command line instead.
-    fn common(&self, options: Options) -> Result<Options, Failure> {
-        common(self.args, options)
-    }
-
     fn check_blanks(&self, entry: &Entry) -> Result<(), Failure> {
         lacks_tab(entry).map_or(Ok(()), |wrong| Err(self.at(entry, &wrong)))
     }
@@ -135,6 +130,7 @@ impl<'a> Maker<'a> {
     }
 }
 
+/// Options with those of the command line instead.
 fn common(args: &Args, options: Options) -> Result<Options, Failure> {
     let mut options = args.job.common.over(options)?;
     apply_flags(&args.job, &mut options);
