@@ -10,7 +10,6 @@ use anyhow::Context;
 
 use super::single::{Attempt, sequence};
 use crate::cli::output::Failure;
-use crate::cli::terminal::TerminalProgress;
 use crate::eval::benchmark::{AblatedRun, Ablations, Effect, Entry};
 use crate::io::{self, FolderError, OwnedFolder, RunFolder};
 use crate::pipeline::{Ablation, Options};
@@ -45,12 +44,7 @@ impl Ablating {
     ///
     /// # Errors
     /// As of the sequence itself; options that the chosen front end does not have.
-    pub(super) fn run(
-        &mut self,
-        attempt: &Attempt<'_>,
-        with: &[Entry],
-        talk: &TerminalProgress,
-    ) -> Result<(), Failure> {
+    pub(super) fn run(&mut self, attempt: &Attempt<'_>, with: &[Entry]) -> Result<(), Failure> {
         let name = attempt.folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
         let results = attempt.results.subfolder(&name)?;
         let copy = attempt.results.root().join(RunFolder::STATE).join("ablated");
@@ -61,12 +55,12 @@ impl Ablating {
             if self.found.runs.iter().any(is_done) {
                 continue;
             }
-            talk.say(&format!("{name} without {}", ablation.name));
+            attempt.talk.say(&format!("{name} without {}", ablation.name));
             let options = ablation.without(attempt.options).map_err(|error| Failure::Usage(error.to_string()))?;
             let folder_problem = || format!("{}: cannot be written; make room", copy.display());
             remove(&copy).with_context(folder_problem)?;
             copy_folder(&results, &copy).with_context(folder_problem)?;
-            let entry = sequence(&Attempt { options: &options, output: Some(&copy), ..*attempt }, talk)?;
+            let entry = sequence(&Attempt { options: &options, output: Some(&copy), ..*attempt })?;
             remove(&copy).with_context(folder_problem)?;
             self.found.runs.retain(|run| !(run.without == ablation.name && run.entry.folder == name));
             let Ablation { name: without, decision, .. } = ablation;

@@ -19,7 +19,6 @@ use super::Call;
 use super::common::{CommonArgs, lossy};
 use super::job::use_machine;
 use super::output::{Failure, show};
-use super::terminal::TerminalProgress;
 use crate::eval::benchmark::{Benchmark, Entry, summarise};
 use crate::io::{self, OwnedFolder, PathRole, RunFolder, refuse_own_input};
 use crate::pipeline::{Ablation, Method, Options};
@@ -126,15 +125,15 @@ pub(super) fn run(args: &Args, Call { arguments, form, talk }: Call) -> Result<(
     for (k, folder) in sequences.iter().enumerate() {
         talk.say(&format!("[{}/{}] {}", k + 1, sequences.len(), folder.display()));
         let attempt =
-            Attempt { args, folder, results: &output, options: &options, output: None, arguments: &arguments };
-        let entry = single::sequence(&attempt, talk)?;
+            Attempt { args, folder, results: &output, options: &options, output: None, arguments: &arguments, talk };
+        let entry = single::sequence(&attempt)?;
         talk.say(&format!("{}: {}", entry.folder, said(&entry)));
         benchmark.sequences.push(entry);
         if let Some(options) = &of_paper {
-            benchmark.paper.push(by_paper(&Attempt { options, ..attempt }, talk)?);
+            benchmark.paper.push(by_paper(&Attempt { options, ..attempt })?);
         }
         write(&benchmark, &others, &output)?;
-        ablating.run(&attempt, &benchmark.sequences, talk)?;
+        ablating.run(&attempt, &benchmark.sequences)?;
     }
     talk.finish();
     let failure = failure(&benchmark).map(|text| Failure::Partial(anyhow::anyhow!(text)));
@@ -182,12 +181,12 @@ fn paper_options(args: &Args, options: &Options) -> Result<Option<Options>, Fail
 }
 
 /// A sequence by the published method.
-fn by_paper(attempt: &Attempt<'_>, talk: &TerminalProgress) -> Result<Entry, Failure> {
+fn by_paper(attempt: &Attempt<'_>) -> Result<Entry, Failure> {
     let runs = attempt.results.root().join(RunFolder::STATE).join("paper");
     std::fs::create_dir_all(&runs).with_context(|| format!("{}: cannot be written; make room", runs.display()))?;
     let output = runs.join(attempt.folder.file_name().unwrap_or_default());
-    let entry = single::sequence(&Attempt { output: Some(&output), ..*attempt }, talk)?.of_paper();
-    talk.say(&format!("{} by --method paper: {}", entry.folder, said(&entry)));
+    let entry = single::sequence(&Attempt { output: Some(&output), ..*attempt })?.of_paper();
+    attempt.talk.say(&format!("{} by --method paper: {}", entry.folder, said(&entry)));
     Ok(entry)
 }
 

@@ -26,21 +26,22 @@ pub(super) struct Attempt<'a> {
     /// Folder of this run; `None` for the sequence's own.
     pub(super) output: Option<&'a Path>,
     pub(super) arguments: &'a [String],
+    pub(super) talk: &'a TerminalProgress,
 }
 
 /// The result on one sequence, which may be that it failed.
 ///
 /// # Errors
 /// Only what stands in the way of every sequence: an output folder that cannot be written to or that is in use.
-pub(super) fn sequence(attempt: &Attempt<'_>, talk: &TerminalProgress) -> Result<Entry, Failure> {
-    let Attempt { args, folder, results, options, output, arguments } = *attempt;
+pub(super) fn sequence(attempt: &Attempt<'_>) -> Result<Entry, Failure> {
+    let Attempt { folder, results, output, .. } = *attempt;
     let name = folder.file_name().unwrap_or_default().to_string_lossy().into_owned();
     let truth = Sequence::open(folder);
     let (vehicle, trajectory) = names(&name, truth.as_ref().ok());
     let output = output.map_or_else(|| results.subfolder(&name), |output| Ok(output.to_owned()))?;
     let found = attempted(|| {
         let truth = truth?;
-        let summary = run(args, &name, &truth, &output, options, arguments, talk)?;
+        let summary = run(attempt, &name, &truth, &output)?;
         let evaluation = pipeline::evaluate(&output, folder)?;
         pipeline::keep_evaluation(&output, folder, &evaluation)?;
         Ok(entry(&evaluation, &summary))
@@ -77,17 +78,10 @@ pub(in crate::cli) fn stands_in_every_way(error: &anyhow::Error) -> bool {
     }
 }
 
-fn run(
-    args: &Args,
-    name: &str,
-    truth: &Sequence,
-    output: &Path,
-    options: &Options,
-    arguments: &[String],
-    talk: &TerminalProgress,
-) -> anyhow::Result<Summary> {
+fn run(attempt: &Attempt<'_>, name: &str, truth: &Sequence, output: &Path) -> anyhow::Result<Summary> {
+    let Attempt { args, arguments, .. } = *attempt;
     let target = ObjectId(TARGET_LABEL.into());
-    let mut options = options.clone();
+    let mut options = attempt.options.clone();
     // Other moving vehicles are kept out of the background; what they cost to reconstruct is not the question here.
     options.only_objects = [target].into();
     let input = apply_sequence(truth, &mut options)?;
@@ -111,7 +105,7 @@ fn run(
         overwrite: if args.overwrite { Overwrite::AnyInput } else { Overwrite::SameInput },
         arguments,
     };
-    Ok(pipeline::run(&job, talk)?)
+    Ok(pipeline::run(&job, attempt.talk)?)
 }
 
 /// Where the model of a sequence would lie.
