@@ -276,13 +276,8 @@ pub(super) fn apply_flags(job: &JobArgs, options: &mut Options) {
     } else if let Some(model) = &job.ground_model {
         options.ground_labels = GroundLabels::Model(model.clone());
     }
-    let set = |to: &mut Option<PathBuf>, flag: &Option<PathBuf>| {
-        if flag.is_some() {
-            to.clone_from(flag);
-        }
-    };
-    set(&mut options.flow_model, &job.flow_model);
-    set(&mut options.background_model, &job.background_model);
+    options.flow_model = job.flow_model.clone().or(options.flow_model.take());
+    options.background_model = job.background_model.clone().or(options.background_model.take());
     options.object_models.extend(job.object_model.iter().cloned());
     options.only_objects.extend(job.only_object.iter().copied());
     options.intrinsics = job.intrinsics.clone().or(options.intrinsics.take());

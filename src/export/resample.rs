@@ -7,7 +7,7 @@
 
 use std::ops::RangeInclusive;
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use super::{RegisteredFrame, Results};
 use crate::math::{Rigid3, Sim3};
@@ -203,11 +203,7 @@ fn view_between(a: &RegisteredFrame, b: &RegisteredFrame, at: &Moment) -> Regist
 }
 
 /// Constant rate of turn; the nearer rotation where two are opposite, which no two neighboring frames are.
-fn slerp(
-    a: &nalgebra::UnitQuaternion<f64>,
-    b: &nalgebra::UnitQuaternion<f64>,
-    weight: f64,
-) -> nalgebra::UnitQuaternion<f64> {
+fn slerp(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>, weight: f64) -> UnitQuaternion<f64> {
     let nearer = if weight < 0.5 { a } else { b };
     a.try_slerp(b, weight, 1e-9).unwrap_or(*nearer)
 }

@@ -94,17 +94,10 @@ impl Turn {
 }
 
 impl Plan {
-    /// The whole scene, with room around it.
-    pub fn scene(data: &Data, view: &View) -> Self {
-        Self::of_all(data, view, 0.9)
-    }
-
-    /// All paths, as large as fits.
-    pub fn paths(data: &Data, view: &View) -> Self {
-        Self::of_all(data, view, 0.12)
-    }
-
-    fn of_all(data: &Data, view: &View, padding: f64) -> Self {
+    /// The whole scene.
+    ///
+    /// * `padding` – room around all paths, as a share of their longer side.
+    pub fn scene(data: &Data, view: &View, padding: f64) -> Self {
         let paper = Paper { zoom: SCENE_ZOOM, ..Paper::new(data, view) };
         let background = data.background.reconstruction;
         let camera: Vec<_> = background.images.values().map(|i| paper.place(i.cam_from_world.center())).collect();
