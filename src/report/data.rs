@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, HashMap};
 use super::Pictures;
 use crate::eval::Evaluation;
 use crate::scene::{
-    Frame, FrameId, Ground, GroundTrack, Image, Metric, ObjectId, ObjectTrajectory, Reason, ReasonKind, Reconstruction,
-    TimeBase, TrackedObject,
+    Frame, FrameId, Ground, GroundTrack, Image, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase,
+    TrackedObject,
 };
 
 /// Everything the page shows; the pipeline fills it from a finished output folder.
@@ -94,10 +94,9 @@ pub struct Object<'a> {
 impl<'a> Object<'a> {
     /// The ground track, where it is the answer: there is no trajectory, or one that is rejected or less certain.
     pub(super) fn answering_track(&self) -> Option<&'a GroundTrack> {
-        let is_better = |reason: &Reason| reason.kind == ReasonKind::GroundTrack;
         let is_worse = |trajectory: &ObjectTrajectory| {
-            let verdict = trajectory.verdict.as_ref();
-            trajectory.is_ruled_out() || verdict.is_some_and(|verdict| verdict.against().any(is_better))
+            trajectory.is_ruled_out()
+                || trajectory.verdict.as_ref().is_some_and(|found| found.by_ground_track().is_some())
         };
         self.ground_track.filter(|_| self.trajectory.is_none_or(is_worse))
     }

@@ -129,6 +129,11 @@ impl Verdict {
         self.against().filter(|reason| reason.kind != ReasonKind::Deviation || reason.weight >= 1.0)
     }
 
+    /// Evidence of the ground track against the trajectory.
+    pub fn by_ground_track(&self) -> Option<&Reason> {
+        self.against().find(|reason| reason.kind == ReasonKind::GroundTrack)
+    }
+
     /// Returns true if a reason rules the trajectory out.
     pub fn is_refuted(&self) -> bool {
         self.state == Trust::Rejected

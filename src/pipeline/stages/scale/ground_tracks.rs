@@ -54,8 +54,7 @@ impl Placed<'_> {
             return Some(format!("trajectory in {placed} of {visible} frames only"));
         }
         let verdict = trajectory.verdict.as_ref().filter(|verdict| verdict.state == Trust::Doubtful)?;
-        let is_better = |reason: &&Reason| reason.kind == ReasonKind::GroundTrack;
-        Some(verdict.against().find(is_better).map_or_else(String::new, |reason| reason.says.clone()))
+        Some(verdict.by_ground_track().map_or_else(String::new, |reason| reason.says.clone()))
     }
 }
 
