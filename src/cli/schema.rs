@@ -21,25 +21,20 @@ pub(super) struct Args {
     name: Option<String>,
 }
 
-/// A document with a schema.
-struct Document {
-    name: &'static str,
-    /// The file or output that it describes.
-    of: &'static str,
-    schema: fn() -> Schema,
-}
+/// Name of a document, the file or output that it describes, and its schema.
+type Document = (&'static str, &'static str, fn() -> Schema);
 
 const DOCUMENTS: [Document; 10] = [
-    Document { name: "trajectories", of: "trajectories.json, version 3", schema: trajectories::schema },
-    Document { name: "tracks", of: "tracks.json", schema: tracks::schema },
-    Document { name: "ground", of: "ground.json", schema: ground::schema },
-    Document { name: "run", of: "run.json", schema: pipeline::run_json_schema },
-    Document { name: "evaluation", of: "evaluation.json", schema: json_file::schema_of::<Evaluation> },
-    Document { name: "benchmark", of: "benchmark.json without `summary`", schema: json_file::schema_of::<Benchmark> },
-    Document { name: "run-output", of: "output of `run --json`", schema: json_file::schema_of::<RunOutput> },
-    Document { name: "live", of: "a line of live.jsonl", schema: json_file::schema_of::<Line> },
-    Document { name: "analyse", of: "output of `analyse --json`", schema: json_file::schema_of::<Analysis> },
-    Document { name: "summary", of: "output of `summary --json`", schema: json_file::schema_of::<Summary> },
+    ("trajectories", "trajectories.json, version 3", trajectories::schema),
+    ("tracks", "tracks.json", tracks::schema),
+    ("ground", "ground.json", ground::schema),
+    ("run", "run.json", pipeline::run_json_schema),
+    ("evaluation", "evaluation.json", json_file::schema_of::<Evaluation>),
+    ("benchmark", "benchmark.json without `summary`", json_file::schema_of::<Benchmark>),
+    ("run-output", "output of `run --json`", json_file::schema_of::<RunOutput>),
+    ("live", "a line of live.jsonl", json_file::schema_of::<Line>),
+    ("analyse", "output of `analyse --json`", json_file::schema_of::<Analysis>),
+    ("summary", "output of `summary --json`", json_file::schema_of::<Summary>),
 ];
 
 /// Prints a schema, or the list of them.
@@ -53,28 +48,27 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
             Form::Text | Form::Nothing => print(&as_text()),
         };
     };
-    let document = DOCUMENTS.iter().find(|document| document.name == name.trim_end_matches(".json"));
+    let document = DOCUMENTS.iter().find(|(other, ..)| *other == name.trim_end_matches(".json"));
     let document = document.ok_or_else(|| {
-        let names = DOCUMENTS.map(|document| document.name).join(", ");
+        let names = DOCUMENTS.map(|(name, ..)| name).join(", ");
         Failure::Usage(format!("'{name}': no such schema; expected {names}"))
     })?;
     print_json(&titled(document))
 }
 
 /// The schema with the name of its document.
-fn titled(document: &Document) -> Schema {
-    let mut schema = (document.schema)();
-    schema.insert("title".into(), document.of.into());
+fn titled((_, of, schema): &Document) -> Schema {
+    let mut schema = schema();
+    schema.insert("title".into(), (*of).into());
     schema
 }
 
 fn list() -> Value {
-    json!({ "schemas": DOCUMENTS.map(|document| json!({ "name": document.name, "of": document.of })) })
+    json!({ "schemas": DOCUMENTS.map(|(name, of, _)| json!({ "name": name, "of": of })) })
 }
 
 fn as_text() -> String {
-    let line = |document: &Document| format!("{:<14}{}\n", document.name, document.of);
-    DOCUMENTS.iter().map(line).collect()
+    DOCUMENTS.iter().map(|(name, of, _)| format!("{name:<14}{of}\n")).collect()
 }
 
 #[cfg(test)]
@@ -84,14 +78,14 @@ mod tests {
     #[test]
     fn every_schema_describes_every_key() {
         for document in &DOCUMENTS {
-            let schema = titled(document).to_value();
-            assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema", "{}", document.name);
+            let (schema, document) = (titled(document).to_value(), document.0);
+            assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema", "{document}");
             let definitions = schema["$defs"].as_object().unwrap();
-            for (name, of) in definitions.iter().chain([(&document.name.to_owned(), &schema)]) {
+            for (name, of) in definitions.iter().chain([(&document.to_owned(), &schema)]) {
                 for (key, property) in of["properties"].as_object().into_iter().flatten() {
                     let said = property["description"].as_str().unwrap_or_default();
                     let refers = property.get("const").is_some();
-                    assert!(said.len() > 3 || refers, "{} {name}.{key}: {property}", document.name);
+                    assert!(said.len() > 3 || refers, "{document} {name}.{key}: {property}");
                     assert!(!said.contains("`None`") && !said.contains("[`"), "{name}.{key}: {said}");
                 }
             }
