@@ -65,7 +65,7 @@ pub(super) struct Cloud {
 type ScenePose = (usize, [f64; 3], [f64; 8], Option<String>);
 
 /// A vehicle in the 3D view.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct SceneObject {
     id: u32,
     name: String,
@@ -260,13 +260,9 @@ fn ground_track(data: &Data, view: &View, object: &Object, name: &str, chosen: &
         id: object.id.0,
         name: format!("{name}, ground track"),
         colour: css_colour(object_colour(object.id)),
-        degenerate: false,
         ground: true,
-        total: 0,
-        count: 0,
-        positions: String::new(),
-        colours: String::new(),
         poses: poses.collect(),
+        ..SceneObject::default()
     })
 }
 
