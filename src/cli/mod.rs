@@ -41,6 +41,7 @@ use std::borrow::Cow;
 use std::ffi::OsString;
 use std::io::{self, Write};
 use std::process::ExitCode;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 
 use args::{Args, Command};
 use clap::{CommandFactory, Parser};
@@ -117,6 +118,11 @@ struct Call<'a> {
     arguments: &'a [OsString],
     form: Form,
     talk: &'a TerminalProgress,
+}
+
+/// A lock, also of a thread that has panicked.
+fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn dispatch(args: &Args, arguments: &[OsString], talk: &TerminalProgress) -> Result<(), Failure> {

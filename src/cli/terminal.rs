@@ -2,7 +2,7 @@
 
 use std::io::{self, IsTerminal, Write};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
 use std::time::Duration;
 
@@ -12,6 +12,7 @@ use tracing_subscriber::EnvFilter;
 use tracing_subscriber::fmt::MakeWriter;
 
 use super::forecast::in_words;
+use super::lock;
 use super::output::{Failure, Form};
 use super::stage_progress::{Event, Moment, StageProgress};
 use super::stop::{CaughtSignals, Signal, Stop};
@@ -183,10 +184,6 @@ fn start_ticker(period: Duration, voice: Voice, course: Arc<Mutex<StageProgress>
         }
     });
     sender
-}
-
-fn lock(course: &Mutex<StageProgress>) -> MutexGuard<'_, StageProgress> {
-    course.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Drawing the bar asks the course how much is left: it must not be locked while the bar is touched.

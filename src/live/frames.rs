@@ -1,12 +1,12 @@
 //! Frames of the growing recording: the newest one waits, older ones are dropped.
 
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::PATIENCE;
+use super::{PATIENCE, lock};
 use crate::files::Growth;
 use crate::pipeline::PipelineError;
 use crate::scene::Frame;
@@ -121,10 +121,6 @@ impl Newest {
     pub(super) fn take_error(&self) -> Option<VideoError> {
         lock(&self.slot.0).error.take()
     }
-}
-
-fn lock(slot: &Mutex<Slot>) -> MutexGuard<'_, Slot> {
-    slot.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn put((slot, changed): &(Mutex<Slot>, Condvar), arrived: Arrived) {

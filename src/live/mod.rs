@@ -237,15 +237,11 @@ impl Live<'_> {
 
     fn note_load(&mut self, time_s: f64, busy: Duration) -> Result<(), PipelineError> {
         let dropped = self.end.dropped;
-        let mut load = self.load();
+        let mut load = lock(&self.load);
         let Some(reason) = load.note(time_s, busy.as_secs_f64(), dropped) else { return Ok(()) };
         let (level, reductions) = (load.level(), load.reductions());
         drop(load);
         self.send(Line::Load(LoadLine { t: time_s, level, reductions, reason, dropped }))
-    }
-
-    fn load(&self) -> MutexGuard<'_, Load> {
-        self.load.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Reports once why there has been no map for a while.
@@ -374,6 +370,11 @@ impl Live<'_> {
         self.send(Line::End(self.end.clone()))?;
         Ok(self.end)
     }
+}
+
+/// A lock, also of a thread that has panicked.
+fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
+    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// Results that become final with a map.

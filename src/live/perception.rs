@@ -6,15 +6,15 @@
 use std::collections::BTreeMap;
 use std::io;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, SyncSender, channel, sync_channel};
-use std::sync::{Arc, Mutex, PoisonError, Weak};
+use std::sync::{Arc, Mutex, Weak};
 use std::thread;
 use std::time::{Duration, Instant};
 
 use ::image::RgbImage;
 
-use super::PATIENCE;
 use super::frames::{Arrived, Input, Newest, Next};
 use super::load::Load;
+use super::{PATIENCE, lock};
 use crate::networks::{
     BoxSegmenter, FlowEstimator, GrabCut, Yolox, default_models, load_box_segmenter, load_detector, load_flow,
     load_small_box_segmenter,
@@ -150,7 +150,7 @@ fn perceive(
             Next::Over => return,
         };
         let periods_s = {
-            let mut load = load.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut load = lock(&load);
             if load.skips() {
                 num_skipped += 1;
                 continue;

@@ -5,9 +5,10 @@
 
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::Mutex;
 use std::time::Instant;
 
+use super::lock;
 use crate::math::median;
 use crate::telemetry::{self, Fix, Log, TelemetryError};
 
@@ -68,7 +69,7 @@ impl TelemetryFeed {
     ///
     /// * `is_live` – true if they were written just now, false for those of a file that was there before.
     pub fn push(&self, bytes: &[u8], is_live: bool) {
-        let mut state = self.lock();
+        let mut state = lock(&self.state);
         let video_s = state.frame.filter(|_| is_live).map(|(time_s, at)| time_s + at.elapsed().as_secs_f64());
         for part in bytes.split_inclusive(|byte| *byte == b'\n') {
             state.partial.extend_from_slice(part);
@@ -81,7 +82,7 @@ impl TelemetryFeed {
 
     /// Takes the time of the newest frame.
     pub(super) fn note_frame(&self, time_s: f64, at: Instant) {
-        self.lock().frame = Some((time_s, at));
+        lock(&self.state).frame = Some((time_s, at));
     }
 
     /// The log by now.
@@ -89,14 +90,10 @@ impl TelemetryFeed {
     /// # Errors
     /// [`TelemetryError`], also where nothing has come yet.
     pub(super) fn current(&self) -> Result<Current, TelemetryError> {
-        let (text, arrivals) = self.lock().lines();
+        let (text, arrivals) = lock(&self.state).lines();
         let log = telemetry::read_bytes(&text, &self.path)?;
         let by_arrival = by_arrival(&log.fixes, &arrivals);
         Ok(Current { log, by_arrival })
-    }
-
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

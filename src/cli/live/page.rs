@@ -8,7 +8,7 @@ use std::net::{SocketAddr, TcpListener};
 use std::str::FromStr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -20,6 +20,7 @@ use base64::engine::general_purpose::STANDARD;
 use serde_json::json;
 use tiny_http::{Header, Request, Response, Server};
 
+use super::super::lock;
 use crate::live::Line;
 use crate::scene::Frame;
 
@@ -177,10 +178,6 @@ impl Hub {
         state.browsers.push(sender);
         Some(receiver)
     }
-}
-
-fn lock<T>(state: &Mutex<T>) -> MutexGuard<'_, T> {
-    state.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 /// An event of the stream; `data` is one line.

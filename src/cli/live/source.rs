@@ -7,12 +7,13 @@ use std::io::{self, BufRead, BufReader, IsTerminal, Read};
 use std::os::unix::fs::FileTypeExt;
 use std::path::Path;
 use std::process::{Child, ChildStdout, Command, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 use anyhow::{Context, anyhow};
 
+use super::super::lock;
 use super::super::output::Failure;
 use super::super::recording::STDIN;
 use crate::checks::text::printable;
@@ -129,7 +130,7 @@ fn receive(source: &Path, stream: Stream) -> Result<Source, Failure> {
         for line in BufReader::new(errors).lines().map_while(Result::ok) {
             let line = printable(line.trim()).into_owned();
             tracing::debug!("{FFMPEG}: {line}");
-            *kept.lock().unwrap_or_else(PoisonError::into_inner) = line;
+            *lock(&kept) = line;
         }
     });
     let child = Arc::new(Mutex::new(child));
@@ -154,8 +155,8 @@ impl Read for Received {
         let Some(listening) = self.listening.take() else { return Ok(0) };
         // It closes both pipes at its end.
         drop(listening.join());
-        let ended = self.child.lock().unwrap_or_else(PoisonError::into_inner).wait()?;
-        let last = self.last.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let ended = lock(&self.child).wait()?;
+        let last = lock(&self.last).clone();
         match ended.success() {
             true => Ok(0),
             false => Err(io::Error::other(format!("{FFMPEG}: {}", if last.is_empty() { "failed" } else { &last }))),
@@ -170,7 +171,7 @@ pub(super) struct Receiver {
 
 impl Drop for Receiver {
     fn drop(&mut self) {
-        let mut child = self.child.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut child = lock(&self.child);
         if child.try_wait().is_ok_and(|ended| ended.is_some()) {
             return;
         }
