@@ -79,9 +79,19 @@ impl IoError {
         move |source| Self::System { action, path, source }
     }
 
+    /// A line of a text file is wrong.
+    pub fn line(path: &Path, line: usize, field: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Line { path: path.to_path_buf(), line, field: field.into(), problem: problem.into() }
+    }
+
     /// The content of `path` does not hold together.
     pub fn content(path: &Path, problem: impl Into<String>) -> Self {
         Self::Content { path: path.to_path_buf(), problem: problem.into() }
+    }
+
+    /// `path` is valid, but `what` in it is something that this program does not do; `cure` is the remedy.
+    pub fn unsupported(path: &Path, what: impl Into<String>, cure: impl Into<String>) -> Self {
+        Self::Unsupported { path: path.to_path_buf(), what: what.into(), cure: cure.into() }
     }
 
     /// Returns true if the file or folder does not exist.

@@ -17,12 +17,12 @@ use crate::files;
 /// [`IoError::Line`] with line and column if it is not JSON or not of this shape.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
     let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
-    serde_json::from_slice(&bytes).map_err(|e| IoError::Line {
-        path: path.to_path_buf(),
-        line: e.line(),
-        field: format!("column {}", e.column()),
-        problem: without_place(&e.to_string()),
-    })
+    serde_json::from_slice(&bytes).map_err(|e| error(path, &e, without_place(&e.to_string())))
+}
+
+/// The error about a place in a JSON file.
+pub(super) fn error(path: &Path, place: &serde_json::Error, problem: impl Into<String>) -> IoError {
+    IoError::line(path, place.line(), format!("column {}", place.column()), problem)
 }
 
 /// As [`read()`], for a file of another program: the error says what it was taken for.
@@ -46,11 +46,7 @@ pub fn check_version(path: &Path, found: u32, known: u32) -> Result<(), IoError>
     if found == known {
         return Ok(());
     }
-    Err(IoError::Unsupported {
-        path: path.to_path_buf(),
-        what: format!("version {found}"),
-        cure: format!("write it as version {known}"),
-    })
+    Err(IoError::unsupported(path, format!("version {found}"), format!("write it as version {known}")))
 }
 
 /// The JSON schema (draft 2020-12) of the values of a type as they are written, from its definition and documentation.

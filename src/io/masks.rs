@@ -18,8 +18,7 @@ use crate::scene::{LabelMap, Mask};
 /// # Errors
 /// A missing or broken file, another size than the frame's, or anything but grey of 8 bits or one.
 pub fn read_label_map(path: &Path, frame_size: (u32, u32)) -> Result<LabelMap, IoError> {
-    let found = decode(path, Some(frame_size))?;
-    Ok(LabelMap { width: found.size.0, height: found.size.1, labels: found.grey })
+    decode(path, Some(frame_size))
 }
 
 /// Reads a mask: every value but 0 is set.
@@ -51,58 +50,49 @@ pub fn find(folder: &Path, image_name: &str) -> Option<PathBuf> {
     [format!("{stem}.png"), format!("{image_name}.png")].into_iter().map(|n| folder.join(n)).find(|p| p.is_file())
 }
 
-struct Grey {
-    size: (u32, u32),
-    grey: Vec<u8>,
+fn as_mask(map: LabelMap) -> Mask {
+    Mask::from_values(map.width, map.height, &map.labels, |value| value != 0)
 }
 
-fn as_mask(picture: Grey) -> Mask {
-    let (width, height) = picture.size;
-    Mask::from_values(width, height, &picture.grey, |value| value != 0)
-}
-
-fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<Grey, IoError> {
+fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<LabelMap, IoError> {
     let bytes = files::read(path).map_err(IoError::system("read", path))?;
-    let depth = check_kind(path, &bytes)?;
+    let bit_depth = bit_depth(path, &bytes)?;
     let broken = |e: image::ImageError| IoError::content(path, format!("incomplete or damaged PNG image: {e}"));
     let decoder = image::codecs::png::PngDecoder::new(Cursor::new(&bytes)).map_err(broken)?;
-    let size = decoder.dimensions();
+    let size @ (width, height) = decoder.dimensions();
     // Before the pixels are decoded: a header can promise any number of them.
     if let Some(expected) = frame_size.filter(|expected| *expected != size) {
         return Err(IoError::WrongSize { path: path.into(), expected, found: size });
     }
-    if u64::from(size.0) * u64::from(size.1) > MAX_PIXELS {
-        return Err(IoError::content(path, format!("{}×{} pixels are too many for a mask", size.0, size.1)));
+    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+        return Err(IoError::content(path, format!("{width}×{height} pixels are too many for a mask")));
     }
-    let mut grey = vec![0; size.0 as usize * size.1 as usize];
-    if decoder.total_bytes() != grey.len() as u64 {
+    let mut labels = vec![0; width as usize * height as usize];
+    if decoder.total_bytes() != labels.len() as u64 {
         return Err(IoError::content(path, "expected one gray value per pixel"));
     }
-    decoder.read_image(&mut grey).map_err(broken)?;
-    if depth == Depth::One {
+    decoder.read_image(&mut labels).map_err(broken)?;
+    if bit_depth == 1 {
         // The decoder stretches one bit to 0 and 255.
-        grey.iter_mut().for_each(|value| *value = u8::from(*value != 0));
+        labels.iter_mut().for_each(|value| *value = u8::from(*value != 0));
     }
-    Ok(Grey { size, grey })
+    Ok(LabelMap { width, height, labels })
 }
 
 /// Far beyond any frame of a video; keeps a hostile header from filling the memory.
 const MAX_PIXELS: u64 = 1 << 28;
 
-/// Bits per pixel.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Depth {
-    One,
-    Eight,
-}
-
-/// Looks at the PNG header itself: the decoder would stretch 2 and 4 bits to eight, and labels with them.
-fn check_kind(path: &Path, bytes: &[u8]) -> Result<Depth, IoError> {
+/// Bits per pixel, 1 or 8, by the PNG header itself: the decoder would stretch 2 and 4 bits to eight, and labels with
+/// them.
+fn bit_depth(path: &Path, bytes: &[u8]) -> Result<u8, IoError> {
     // Signature, then length and name of IHDR, width, height, bit depth, colour type (PNG specification, 11.2.1).
     if bytes.len() < 26 || !bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
         return Err(IoError::content(path, "not a PNG image"));
     }
     let (bit_depth, colour_type) = (bytes[24], bytes[25]);
+    if colour_type == 0 && matches!(bit_depth, 1 | 8) {
+        return Ok(bit_depth);
+    }
     let kind = match colour_type {
         0 => "gray",
         2 => "RGB",
@@ -111,16 +101,8 @@ fn check_kind(path: &Path, bytes: &[u8]) -> Result<Depth, IoError> {
         6 => "RGB with transparency",
         _ => "unknown",
     };
-    match (colour_type, bit_depth) {
-        (0, 1) => return Ok(Depth::One),
-        (0, 8) => return Ok(Depth::Eight),
-        _ => {}
-    }
-    Err(IoError::Unsupported {
-        path: path.into(),
-        what: format!("mask of kind {kind}, {bit_depth} bits,"),
-        cure: "save it as 8-bit gray, one label per pixel".into(),
-    })
+    let what = format!("mask of kind {kind}, {bit_depth} bits,");
+    Err(IoError::unsupported(path, what, "save it as 8-bit gray, one label per pixel"))
 }
 
 fn encode(path: &Path, grey: &[u8], width: u32, height: u32) -> Result<(), IoError> {

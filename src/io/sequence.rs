@@ -65,11 +65,8 @@ pub struct SequenceFrame {
 
 #[derive(Deserialize)]
 struct Document {
-    #[serde(default)]
     name: Option<String>,
-    #[serde(default)]
     vehicle: Option<String>,
-    #[serde(default)]
     trajectory: Option<String>,
     units: String,
     fps: f64,
@@ -85,14 +82,12 @@ struct FrameDocument {
     index: u32,
     image: PathBuf,
     mask: PathBuf,
-    #[serde(default)]
     semantic: Option<PathBuf>,
     time_s: f64,
     #[serde(rename = "T_world_camera")]
     world_from_cam: [[f64; 4]; 4],
     #[serde(rename = "T_world_object")]
     world_from_object: [[f64; 4]; 4],
-    #[serde(default)]
     visible_share: Option<f64>,
 }
 
@@ -106,11 +101,7 @@ impl Sequence {
         let path = folder.join("scene.json");
         let mut document: Document = json::read(&path)?;
         if document.units != "metre" {
-            return Err(IoError::Unsupported {
-                path,
-                what: format!("unit '{}'", document.units),
-                cure: "give lengths in 'metre'".into(),
-            });
+            return Err(IoError::unsupported(&path, format!("unit '{}'", document.units), "give lengths in 'metre'"));
         }
         let camera = camera(&path, &document)?;
         if !(document.fps > 0.0 && document.fps.is_finite()) {

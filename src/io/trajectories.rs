@@ -18,14 +18,8 @@ use crate::scene::{
     ContactError, GroundPosition, GroundTrack, Metric, MetricVerdict, ObjectPose, ObjectTrajectory, Trajectories, Unit,
 };
 
-/// The version that is written.
+/// The version that is written; all since version 1 are read.
 const VERSION: u32 = 3;
-
-/// The version before, written on request.
-const OLD_VERSION: u32 = 2;
-
-/// The oldest version that is read.
-const OLDEST: u32 = 1;
 
 /// Maximum difference of a pose's scale from its object's ratio, relative to it.
 const MAX_SCALE_ERROR: f64 = 1e-9;
@@ -71,7 +65,7 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
 /// # Errors
 /// As [`write()`].
 pub fn write_version_2(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
-    let document = Document { ground_tracks: Vec::new(), ..document(trajectories, OLD_VERSION) };
+    let document = Document { ground_tracks: Vec::new(), ..document(trajectories, 2) };
     check(path, &document)?;
     let mut value = serde_json::to_value(&document).map_err(|error| IoError::content(path, error.to_string()))?;
     let objects = value["objects"].as_array_mut().into_iter().flatten();
@@ -98,7 +92,7 @@ fn document(trajectories: &Trajectories, version: u32) -> Document {
 /// A missing file, JSON of another shape or version, or values that break the contract (see [`write()`]).
 pub fn read(path: &Path) -> Result<Trajectories, IoError> {
     let document: Document = json::read(path)?;
-    if !(OLDEST..=VERSION).contains(&document.version) {
+    if !(1..=VERSION).contains(&document.version) {
         json::check_version(path, document.version, VERSION)?;
     }
     check(path, &document)?;
@@ -126,17 +120,14 @@ fn check(path: &Path, document: &Document) -> Result<(), IoError> {
         if !is_sensible_ratio(scale.ratio) {
             return wrong(format!("scale ratio {:e}: not positive, or out of range", scale.ratio));
         }
-        if !has_finite_numbers(scale) || !object.confidence.is_finite() {
-            return wrong("scale or confidence is not a finite number".into());
-        }
-        if !object.dimensions.as_ref().is_none_or(has_finite_numbers) {
-            return wrong("a dimension is not a finite number".into());
-        }
-        if !object.body_center.as_ref().is_none_or(has_finite_numbers) {
-            return wrong("the center of the body is not finite".into());
-        }
-        if !object.travel.as_ref().is_none_or(has_finite_numbers) {
-            return wrong("a travel figure is not finite".into());
+        let are_finite = [
+            (has_finite_numbers(scale) && object.confidence.is_finite(), "scale or confidence is not a finite number"),
+            (has_finite_numbers(&object.dimensions), "a dimension is not a finite number"),
+            (has_finite_numbers(&object.body_center), "the center of the body is not finite"),
+            (has_finite_numbers(&object.travel), "a travel figure is not finite"),
+        ];
+        if let Some((_, problem)) = are_finite.into_iter().find(|(is_finite, _)| !is_finite) {
+            return wrong(problem.into());
         }
         let reasons = object.verdict.iter().flat_map(|verdict| &verdict.reasons);
         if let Some(reason) = reasons.into_iter().find(|reason| !(0.0..=1.0).contains(&reason.weight)) {
@@ -210,7 +201,7 @@ fn pose_problem(pose: &ObjectPose, ratio: f64) -> Option<String> {
     if let Some(number) = numbers.chain(&pose.speed).find(|n| !n.is_finite()) {
         return Some(format!("{number} is not a finite number"));
     }
-    if !pose.metric.as_ref().is_none_or(has_finite_numbers) {
+    if !has_finite_numbers(&pose.metric) {
         return Some("a number in meters is not finite".into());
     }
     if let Some(far) = pose.position.iter().chain(translation).find(|c| !is_sensible(c)) {

@@ -5,8 +5,9 @@ use std::path::Path;
 
 use nalgebra::{Matrix3, Point2, Point3, Quaternion, Rotation3, UnitQuaternion};
 
+use crate::camera::{Camera, Model};
 use crate::io::{IoError, extent};
-use crate::scene::{CameraId, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
+use crate::scene::{CameraForm, CameraId, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
 /// A rotation from its matrix; `None` if the matrix is none to 10⁻⁵.
 pub fn rotation(matrix: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
@@ -100,11 +101,35 @@ pub fn check_line_names(path: &Path, model: &Reconstruction) -> Result<(), IoErr
 
 /// The error about a camera that a format has no place for.
 pub fn unsupported_camera(path: &Path, id: CameraId, what: &str, format: &str) -> IoError {
-    IoError::Unsupported {
-        path: path.to_path_buf(),
-        what: format!("camera {}: {what} in {format}", id.0),
-        cure: "write a COLMAP model instead".to_owned(),
-    }
+    IoError::unsupported(path, format!("camera {}: {what} in {format}", id.0), "write a COLMAP model instead")
+}
+
+/// A camera as a format has it: by `covered`, or by `foreign` if this program cannot project with it; the error of
+/// either says what the format has no place for.
+pub fn written_camera<T>(
+    path: &Path,
+    model: &Reconstruction,
+    id: CameraId,
+    format: &str,
+    covered: impl FnOnce() -> Result<T, String>,
+    foreign: impl FnOnce(Model, &[f64]) -> Result<T, String>,
+) -> Result<T, IoError> {
+    let written = match model.camera_forms.get(&id) {
+        Some(CameraForm::Foreign(form, params)) => foreign(*form, params),
+        Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
+        Some(CameraForm::Covered(_)) | None => covered(),
+    };
+    written.map_err(|what| unsupported_camera(path, id, &what, format))
+}
+
+/// A camera that this program cannot project with, and its form.
+pub fn foreign_camera(model: Model, width: u32, height: u32, params: &[f64]) -> (Camera, CameraForm) {
+    (model.pinhole_part(width, height, params), CameraForm::Foreign(model, params.to_vec()))
+}
+
+/// Width and height of the picture at `name` next to the file at `path`, if there is one.
+pub fn picture_size(path: &Path, name: &str) -> Option<(u32, u32)> {
+    image::image_dimensions(path.with_file_name("").join(name)).ok()
 }
 
 /// Data that a format cannot hold, in words.

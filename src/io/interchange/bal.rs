@@ -21,9 +21,6 @@ use crate::io::IoError;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-/// Least bytes of an entry, against which counts are checked: a digit and a blank.
-const MIN_BYTES: usize = 2;
-
 /// Reads a problem: one camera of its own for every image; camera, image and point ids are the file's indices plus one.
 ///
 /// # Errors
@@ -76,7 +73,8 @@ fn connect(model: &mut Reconstruction, seen: &[(u32, u32, Point2<f64>)]) {
 
 /// A count; ids and sums of two counts fit in 32 bits.
 fn count(words: &mut Words<'_>, field: &str) -> Result<u32, IoError> {
-    let count = words.count(field, MIN_BYTES)?;
+    // An entry has at least a digit and a blank.
+    let count = words.count(field, 2)?;
     u32::try_from(count).ok().filter(|&count| count < u32::MAX / 2).ok_or_else(|| words.error(field, "too large"))
 }
 

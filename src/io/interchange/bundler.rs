@@ -51,11 +51,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let mut words = text.words();
     let magic = words.rest_of_line();
     if magic != MAGIC {
-        return Err(IoError::Unsupported {
-            path: path.to_path_buf(),
-            what: format!("'{magic}'"),
-            cure: "write it as version 0.3".to_owned(),
-        });
+        return Err(IoError::unsupported(path, format!("'{magic}'"), "write it as version 0.3"));
     }
     let num_cameras = words.count("number of cameras", 10)?;
     let num_points = words.count("number of points", 10)?;

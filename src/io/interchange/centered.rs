@@ -5,7 +5,7 @@ use std::path::Path;
 
 use nalgebra::{Point2, Point3, Vector2};
 
-use super::assembly::{Losses, Short, add_point, unsupported_camera};
+use super::assembly::{Losses, Short, add_point, picture_size, unsupported_camera};
 use super::words::Words;
 use crate::camera::{Camera, HigherTerms};
 use crate::io::IoError;
@@ -44,8 +44,7 @@ pub type Sizes = BTreeMap<ImageId, (u32, u32)>;
 
 /// The sizes of those pictures that lie where `path` does.
 pub fn sizes_of_files(path: &Path, model: &Reconstruction) -> Sizes {
-    let size = |name: &str| image::image_dimensions(path.with_file_name("").join(name)).ok();
-    model.images.iter().filter_map(|(id, image)| Some((*id, size(&image.name)?))).collect()
+    model.images.iter().filter_map(|(id, image)| Some((*id, picture_size(path, &image.name)?))).collect()
 }
 
 /// Gives every camera, which serves one image, the size of its picture: the one that is known, else the smallest even

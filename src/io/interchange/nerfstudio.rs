@@ -17,14 +17,13 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Matrix3, Matrix4, Point3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::assembly::{Losses, check_finite, rotation, unsupported_camera};
+use super::assembly::{Losses, check_finite, foreign_camera, picture_size, rotation, written_camera};
 use super::{model, ply};
 use crate::camera::{Camera, HigherTerms, Model};
 use crate::io::{IoError, atomic, json};
 use crate::math::Rigid3;
 use crate::scene::{CameraForm, CameraId, Image, ImageId, Reconstruction};
 
-const FORMAT: &str = "nerfstudio's format";
 const POINTS: &str = "sparse_pc.ply";
 
 #[derive(Deserialize, Serialize)]
@@ -109,8 +108,7 @@ impl Intrinsics {
         if self.w.is_some() && self.h.is_some() {
             return self;
         }
-        let size = |name: &str| image::image_dimensions(path.with_file_name("").join(name)).ok();
-        let size = size(name).or_else(|| size(&format!("{name}.png")));
+        let size = picture_size(path, name).or_else(|| picture_size(path, &format!("{name}.png")));
         size.map(|(w, h)| Self { w: Some(f64::from(w)), h: Some(f64::from(h)), ..self.clone() }).unwrap_or(self)
     }
 
@@ -131,8 +129,8 @@ impl Intrinsics {
             return Err("invalid camera parameters".to_owned());
         }
         let foreign = |model: Model, params: &[f64]| {
-            let form = CameraForm::Foreign(model, params.to_vec());
-            Ok((model.pinhole_part(width, height, params), Some(form)))
+            let (camera, form) = foreign_camera(model, width, height, params);
+            Ok((camera, Some(form)))
         };
         let usual = if self.is_fisheye == Some(true) { "OPENCV_FISHEYE" } else { "OPENCV" };
         match self.camera_model.as_deref().unwrap_or(usual) {
@@ -245,12 +243,9 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
         .cameras
         .iter()
         .map(|(id, camera)| {
-            let intrinsics = match model.camera_forms.get(id) {
-                Some(CameraForm::Foreign(form, params)) => Intrinsics::of_foreign(*form, params, camera),
-                Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
-                _ => Ok(Intrinsics::of_covered(camera)),
-            };
-            Ok((*id, intrinsics.map_err(|what| unsupported_camera(path, *id, &what, FORMAT))?))
+            let covered = || Ok(Intrinsics::of_covered(camera));
+            let foreign = |form: Model, params: &[f64]| Intrinsics::of_foreign(form, params, camera);
+            Ok((*id, written_camera(path, model, *id, "nerfstudio's format", covered, foreign)?))
         })
         .collect::<Result<std::collections::BTreeMap<CameraId, Intrinsics>, IoError>>()?;
     let used: std::collections::BTreeSet<_> = model.images.values().map(|image| image.camera).collect();

@@ -50,11 +50,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let mut words = text.words();
     let magic = words.rest_of_line();
     if magic != MAGIC {
-        return Err(IoError::Unsupported {
-            path: path.to_path_buf(),
-            what: format!("'{magic}'"),
-            cure: "save it as NVM_V3 without a fixed calibration".to_owned(),
-        });
+        return Err(IoError::unsupported(path, format!("'{magic}'"), "save it as NVM_V3 without a fixed calibration"));
     }
     let num_cameras = words.count("number of cameras", 22)?;
     let mut model = Reconstruction::default();

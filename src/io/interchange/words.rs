@@ -43,14 +43,14 @@ impl Text {
 
     /// An error about a line.
     pub fn error(&self, line: usize, field: &str, problem: impl Into<String>) -> IoError {
-        IoError::Line { path: self.path.clone(), line, field: field.into(), problem: problem.into() }
+        IoError::line(&self.path, line, field, problem)
     }
 }
 
 impl<'a> Words<'a> {
     /// An error about the word read last.
     pub fn error(&self, field: &str, problem: impl Into<String>) -> IoError {
-        IoError::Line { path: self.path.into(), line: self.line, field: field.into(), problem: problem.into() }
+        IoError::line(self.path, self.line, field, problem)
     }
 
     pub fn word(&mut self, field: &str) -> Result<&'a str, IoError> {

@@ -1,7 +1,7 @@
 //! Why the program does not write into a folder.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use crate::io::IoError;
 
@@ -118,6 +118,11 @@ fn cure(error: &io::Error) -> &'static str {
 }
 
 impl FolderError {
+    /// For `map_err`: the system refuses the path.
+    pub(super) fn system(path: &Path) -> impl Fn(io::Error) -> Self {
+        move |source| Self::System { path: path.to_owned(), source }
+    }
+
     /// Returns true if waiting helps: another process has the folder.
     pub fn is_busy(&self) -> bool {
         matches!(self, Self::Busy { .. })
@@ -125,16 +130,6 @@ impl FolderError {
 
     /// Returns true if the command line is wrong, so that nothing was started.
     pub fn is_wrong_use(&self) -> bool {
-        use FolderError::{Exists, InTheWay, Link, NotOwn, OtherInput, OwnInput, PlaceOfResults};
-        matches!(
-            self,
-            NotOwn { .. }
-                | InTheWay { .. }
-                | Link { .. }
-                | OtherInput { .. }
-                | OwnInput { .. }
-                | PlaceOfResults { .. }
-                | Exists { .. }
-        )
+        !matches!(self, Self::Busy { .. } | Self::System { .. } | Self::Io(_))
     }
 }

@@ -1,11 +1,11 @@
 //! Files that the program wrote into a folder, and their input.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
+use super::tree::is_link;
 use super::{FolderError, InputIdentity, PathRole, PathRoles, STATE, is_inside};
 use crate::files;
 
@@ -36,7 +36,7 @@ impl Manifest {
 pub(super) fn read_manifest(root: &Path, places: PathRoles) -> Result<Option<Manifest>, FolderError> {
     let state = root.join(STATE);
     for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
-        if fs::symlink_metadata(&path).is_ok_and(|found| found.file_type().is_symlink()) {
+        if is_link(&path) {
             return Err(FolderError::Link { path: root.to_owned(), link: name });
         }
     }

@@ -29,7 +29,7 @@ pub use survey::{refuse_own_input, refuse_place_of_results};
 
 use self::manifest::{MANIFEST, Manifest, VERSION, read_manifest};
 use self::survey::{Survey, is_as_good_as_empty};
-use self::tree::{files_below, files_below_if_any, folders_below, is_real_folder};
+use self::tree::{files_below, files_below_if_any, folders_below, is_link, is_real_folder};
 use super::atomic::{sync_folder, sync_tree};
 use super::{IoError, RunFolder, atomic};
 use crate::files;
@@ -79,7 +79,7 @@ impl OwnedFolder {
     /// # Errors
     /// [`FolderError`] says what is in the way.
     pub fn inspect(path: &Path, made_by: &'static str, places: PathRoles) -> Result<(), FolderError> {
-        let system = |source| FolderError::System { path: path.to_owned(), source };
+        let system = FolderError::system(path);
         match fs::metadata(path) {
             Err(error) if error.kind() == io::ErrorKind::NotFound => {
                 return match fs::symlink_metadata(path) {
@@ -104,10 +104,10 @@ impl OwnedFolder {
     /// [`FolderError`] says what is in the way.
     pub fn open(path: &Path, made_by: &'static str, places: PathRoles) -> Result<Self, FolderError> {
         Self::inspect(path, made_by, places)?;
-        let system = |source| FolderError::System { path: path.to_owned(), source };
-        make(&path.join(STATE)).map_err(system)?;
+        let system = FolderError::system(path);
+        make(&path.join(STATE)).map_err(&system)?;
         // A link to the folder itself is the user's way of naming it; below it no link is followed.
-        let root = fs::canonicalize(path).map_err(system)?;
+        let root = fs::canonicalize(path).map_err(&system)?;
         let lock = lock(&root, path)?;
         let manifest = read_manifest(&root, places)?.unwrap_or_default();
         let owned = Self { root, manifest: Mutex::new(manifest), _lock: lock };
@@ -367,13 +367,8 @@ impl OwnedFolder {
 
     /// That no link leads from the folder to a path in it.
     fn check_way(&self, relative: &Path) -> Result<(), FolderError> {
-        for above in relative.ancestors().filter(|above| !above.as_os_str().is_empty()) {
-            match fs::symlink_metadata(self.root.join(above)) {
-                Ok(found) if found.file_type().is_symlink() => return Err(self.link(above)),
-                _ => {}
-            }
-        }
-        Ok(())
+        let mut ways = relative.ancestors().filter(|above| !above.as_os_str().is_empty());
+        ways.find(|above| is_link(&self.root.join(above))).map_or(Ok(()), |above| Err(self.link(above)))
     }
 
     fn link(&self, relative: &Path) -> FolderError {
@@ -397,9 +392,9 @@ impl OwnedFolder {
     fn scratch(&self) -> Result<TempDir, FolderError> {
         let folder = self.root.join(STATE).join(SCRATCH);
         self.check_way(&Path::new(STATE).join(SCRATCH))?;
-        fs::create_dir_all(&folder).map_err(|source| FolderError::System { path: folder.clone(), source })?;
-        let made = Builder::new().prefix(atomic::UNPLACED).tempdir_in(&folder);
-        made.map_err(|source| FolderError::System { path: folder, source })
+        let made = fs::create_dir_all(&folder);
+        let made = made.and_then(|()| Builder::new().prefix(atomic::UNPLACED).tempdir_in(&folder));
+        made.map_err(FolderError::system(&folder))
     }
 
     fn relative(&self, path: &Path) -> Result<PathBuf, FolderError> {
@@ -435,7 +430,7 @@ fn make(folder: &Path) -> io::Result<()> {
 
 fn lock(root: &Path, shown: &Path) -> Result<File, FolderError> {
     let path = root.join(STATE).join(LOCK);
-    let lock = files::open_own(&path).map_err(|source| FolderError::System { path: path.clone(), source })?;
+    let lock = files::open_own(&path).map_err(FolderError::system(&path))?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(FolderError::Busy { path: shown.to_owned() }),

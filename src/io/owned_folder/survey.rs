@@ -5,7 +5,7 @@ use std::io;
 use std::path::Path;
 
 use super::manifest::Manifest;
-use super::tree::is_real_folder;
+use super::tree::{is_link, is_real_folder};
 use super::{FolderError, LOCK, OwnedFolder, PathRole, PathRoles, STATE};
 use crate::io::{ExportFolder, RunFolder, atomic};
 
@@ -72,10 +72,10 @@ impl Survey<'_> {
 
     fn look(&self, below: &Path, foreign: &mut Vec<String>) -> Result<(), FolderError> {
         let folder = self.root.join(below);
-        let system = |source| FolderError::System { path: folder.clone(), source };
-        for entry in fs::read_dir(&folder).map_err(system)? {
-            let entry = entry.map_err(system)?;
-            let (relative, kind) = (below.join(entry.file_name()), entry.file_type().map_err(system)?);
+        let system = FolderError::system(&folder);
+        for entry in fs::read_dir(&folder).map_err(&system)? {
+            let entry = entry.map_err(&system)?;
+            let (relative, kind) = (below.join(entry.file_name()), entry.file_type().map_err(&system)?);
             let place = (self.places)(&relative);
             if place != PathRole::Elsewhere && kind.is_symlink() {
                 return Err(FolderError::Link { path: self.root.to_owned(), link: relative.display().to_string() });
@@ -95,17 +95,14 @@ impl Survey<'_> {
 
 /// A folder without a manifest has to be empty, but for what a process leaves that is killed as it begins.
 pub(super) fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<(), FolderError> {
-    let system = |source| FolderError::System { path: path.to_owned(), source };
+    let system = FolderError::system(path);
     let names = |folder: &Path| -> io::Result<Vec<String>> {
         fs::read_dir(folder)?.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned())).collect()
     };
-    let mut found = names(path).map_err(system)?;
+    let mut found = names(path).map_err(&system)?;
     if found == [STATE] && is_real_folder(&path.join(STATE)) {
         let state = path.join(STATE);
-        let is_first = |name: &String| {
-            let is_link = fs::symlink_metadata(state.join(name)).is_ok_and(|found| found.file_type().is_symlink());
-            (name == LOCK || atomic::is_temporary(name)) && !is_link
-        };
+        let is_first = |name: &String| (name == LOCK || atomic::is_temporary(name)) && !is_link(&state.join(name));
         if names(&state).map_err(system)?.iter().all(is_first) {
             return Ok(());
         }

@@ -42,6 +42,10 @@ pub(super) fn folders_below(folder: &Path) -> Result<Vec<PathBuf>, FolderError> 
     Ok(found)
 }
 
+pub(super) fn is_link(path: &Path) -> bool {
+    fs::symlink_metadata(path).is_ok_and(|found| found.file_type().is_symlink())
+}
+
 pub(super) fn is_real_folder(path: &Path) -> bool {
     fs::symlink_metadata(path).is_ok_and(|found| found.is_dir())
 }

@@ -4,37 +4,28 @@ use std::path::Path;
 
 use crate::camera::{Camera, Model};
 use crate::io::IoError;
+use crate::io::interchange::assembly::foreign_camera;
 use crate::scene::{CameraForm, CameraId, Reconstruction};
-
-/// Says what to do about a camera that this program cannot project with.
-const CURE: &str = "undistort the images, or calibrate with PINHOLE, RADIAL, OPENCV, or FULL_OPENCV with k4 to k6 zero";
 
 /// The error about a camera of a model that is not known at all.
 pub fn unknown(path: &Path, id: CameraId, model: &str) -> IoError {
-    unsupported(
-        path,
-        id,
-        &format!("camera model {model}"),
-        "convert it to OPENCV with the COLMAP version that wrote \
-         it",
-    )
+    let cure = "convert it to OPENCV with the COLMAP version that wrote it";
+    IoError::unsupported(path, format!("camera {}: camera model {model}", id.0), cure)
 }
 
-/// The error about a camera that cannot be projected with.
-pub fn foreign(path: &Path, id: CameraId, model: &str) -> IoError {
+/// Refuses a camera that cannot be projected with.
+pub fn refuse_foreign(path: &Path, model: &Reconstruction) -> Result<(), IoError> {
+    let Some((id, model)) = model.first_foreign() else { return Ok(()) };
     let detail = if model == Model::FullOpenCv.name() { " with k4, k5 or k6" } else { "" };
-    unsupported(path, id, &format!("camera model {model}{detail}"), CURE)
-}
-
-fn unsupported(path: &Path, id: CameraId, what: &str, cure: &str) -> IoError {
-    IoError::Unsupported { path: path.to_path_buf(), what: format!("camera {}: {what}", id.0), cure: cure.into() }
+    let cure = "undistort the images, or calibrate with PINHOLE, RADIAL, OPENCV, or FULL_OPENCV with k4 to k6 zero";
+    Err(IoError::unsupported(path, format!("camera {}: camera model {model}{detail}", id.0), cure))
 }
 
 /// A camera and its form from stored values.
 pub fn camera(model: Model, width: u32, height: u32, params: Vec<f64>) -> (Camera, CameraForm) {
     match model.camera(width, height, &params) {
         Some(camera) => (camera, CameraForm::Covered(model)),
-        None => (model.pinhole_part(width, height, &params), CameraForm::Foreign(model, params)),
+        None => foreign_camera(model, width, height, &params),
     }
 }
 

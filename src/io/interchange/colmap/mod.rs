@@ -27,7 +27,7 @@ use super::assembly::{self, check_finite};
 use crate::camera::Camera;
 use crate::io::{IoError, atomic, extent};
 use crate::scene::{CameraForm, CameraId, ImageId, Point3dId, Reconstruction};
-pub(super) use camera_model::foreign as foreign_camera;
+pub(super) use camera_model::refuse_foreign;
 #[cfg(feature = "database")]
 pub(super) use camera_model::written as written_camera;
 pub use rigs::num_of_several as num_rigs_of_several;
@@ -41,10 +41,8 @@ type Cameras = (BTreeMap<CameraId, Camera>, BTreeMap<CameraId, CameraForm>);
 /// As [`read_any`]; a camera that this program cannot project with.
 pub fn read(folder: &Path) -> Result<Reconstruction, IoError> {
     let model = read_any(folder)?;
-    match model.first_foreign() {
-        Some((id, name)) => Err(foreign_camera(folder, id, name)),
-        None => Ok(model),
-    }
+    refuse_foreign(folder, &model)?;
+    Ok(model)
 }
 
 /// As [`read`], for comparing and converting: cameras of every model that COLMAP has.
@@ -87,12 +85,10 @@ pub fn is_file_name(name: &str) -> bool {
 /// As [`read`].
 pub fn read_cameras(path: &Path) -> Result<BTreeMap<CameraId, Camera>, IoError> {
     let is_binary = path.extension().is_some_and(|e| e == "bin");
-    let (cameras, forms) = if is_binary { binary::read_cameras(path) } else { text::read_cameras(path) }?;
-    let foreign = forms.iter().find_map(|(id, form)| match form {
-        CameraForm::Foreign(name, _) => Some(camera_model::foreign(path, *id, name.name())),
-        CameraForm::Covered(_) | CameraForm::Unknown => None,
-    });
-    foreign.map_or(Ok(cameras), Err)
+    let (cameras, camera_forms) = if is_binary { binary::read_cameras(path) } else { text::read_cameras(path) }?;
+    let model = Reconstruction { cameras, camera_forms, ..Reconstruction::default() };
+    refuse_foreign(path, &model)?;
+    Ok(model.cameras)
 }
 
 /// Returns true if a folder holds a COLMAP model, by its file names.
@@ -130,11 +126,10 @@ pub fn write(folder: &Path, model: &Reconstruction, encoding: Encoding) -> Resul
 pub(super) fn check_text_names(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     match model.images.values().find(|image| image.name.contains(char::is_whitespace)) {
         None => Ok(()),
-        Some(image) => Err(IoError::Unsupported {
-            path: folder.to_path_buf(),
-            what: format!("name {:?} with a space, which ends a name in COLMAP's text files,", image.name),
-            cure: "write binary files".to_owned(),
-        }),
+        Some(image) => {
+            let what = format!("name {:?} with a space, which ends a name in COLMAP's text files,", image.name);
+            Err(IoError::unsupported(folder, what, "write binary files"))
+        }
     }
 }
 
@@ -216,8 +211,7 @@ fn check_writable(folder: &Path, model: &Reconstruction) -> Result<(), IoError> 
     check_finite(folder, model)?;
     if let Some((id, _)) = model.camera_forms.iter().find(|(_, form)| **form == CameraForm::Unknown) {
         let what = format!("camera {} without intrinsics in its source file", id.0);
-        let cure = "give the model that the camera path was made from".to_owned();
-        return Err(IoError::Unsupported { path: folder.to_path_buf(), what, cure });
+        return Err(IoError::unsupported(folder, what, "give the model that the camera path was made from"));
     }
     for (id, image) in &model.images {
         let name = image.name.as_str();

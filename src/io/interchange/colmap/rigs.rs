@@ -15,11 +15,6 @@ use crate::scene::Reconstruction;
 /// COLMAP's number and name of a sensor that is a camera.
 const CAMERA: (i32, &str) = (0, "CAMERA");
 
-/// Fewest bytes that a rig takes.
-const MIN_BYTES: usize = 8;
-/// Bytes of a pose.
-const POSE_BYTES: usize = 56;
-
 pub fn write_rigs_text(out: &mut dyn Write, model: &Reconstruction) -> std::io::Result<()> {
     writeln!(out, "# Rigs, one per line: RIG_ID NUM_SENSORS REF_SENSOR_TYPE REF_SENSOR_ID")?;
     writeln!(out, "# Number of rigs: {}", model.cameras.len())?;
@@ -85,13 +80,13 @@ fn several_in_binary(path: &Path) -> Result<usize, IoError> {
     let content = Bytes::read_file(path)?;
     let mut bytes = content.cursor();
     let mut several = 0;
-    for _ in 0..bytes.count("number of rigs", MIN_BYTES)? {
+    for _ in 0..bytes.count("number of rigs", 8)? {
         bytes.u32("rig id")?;
         let sensors = bytes.u32("number of sensors")?;
         for k in 0..sensors {
             bytes.array::<8>("sensor")?;
             if k > 0 && bytes.u8("pose flag")? != 0 {
-                bytes.array::<POSE_BYTES>("pose of a sensor")?;
+                bytes.array::<{ 7 * 8 }>("pose of a sensor")?;
             }
         }
         several += usize::from(sensors > 1);

@@ -207,7 +207,7 @@ impl<'a> Line<'a> {
     }
 
     fn error(&self, field: &str, problem: impl Into<String>) -> IoError {
-        IoError::Line { path: self.path.into(), line: self.number, field: field.into(), problem: problem.into() }
+        IoError::line(self.path, self.number, field, problem)
     }
 
     fn word(&mut self, field: &str) -> Result<&'a str, IoError> {

@@ -132,11 +132,8 @@ fn fill(
 fn check(path: &Path, model: &Reconstruction, features: &Features) -> Result<(), IoError> {
     check_finite(path, model)?;
     if features.views.values().all(|view| view.pixels.is_empty()) {
-        return Err(IoError::Unsupported {
-            path: path.to_owned(),
-            what: "a database from a model without observations".to_owned(),
-            cure: "give a model with observations: COLMAP, OpenMVG, OpenSfM, NVM or Bundler".to_owned(),
-        });
+        let cure = "give a model with observations: COLMAP, OpenMVG, OpenSfM, NVM or Bundler";
+        return Err(IoError::unsupported(path, "a database from a model without observations", cure));
     }
     if model.camera_forms.values().any(|form| *form == CameraForm::Unknown) {
         return Err(IoError::content(path, "cameras have no intrinsics that can be written"));

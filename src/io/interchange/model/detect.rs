@@ -9,7 +9,7 @@ use serde::de::IgnoredAny;
 use super::Format;
 use crate::files;
 use crate::io::interchange::colmap;
-use crate::io::{IoError, RunFolder};
+use crate::io::{IoError, RunFolder, json};
 
 /// Formats that can be read, in words.
 const READABLE: &str = "a COLMAP folder, an output folder, OpenMVG's sfm_data.json, OpenSfM's reconstruction.json, \
@@ -111,7 +111,7 @@ fn of_json(path: &Path) -> Result<Format, IoError> {
         let shown: Vec<_> = keys.iter().take(5).map(String::as_str).collect();
         ("JSON of an unknown kind", format!("its keys are {}; give {READABLE}", shown.join(", ")))
     };
-    Err(unreadable(path, what, &cure))
+    Err(IoError::unsupported(path, what, cure))
 }
 
 /// The keys of the object at the top of a JSON file, or of the first one in the list at its top.
@@ -124,12 +124,8 @@ fn top_keys(path: &Path) -> Result<Vec<String>, IoError> {
     } else {
         serde_json::from_slice::<Object>(&bytes)
     };
-    object.map(|object| object.into_keys().collect()).map_err(|error| IoError::Line {
-        path: path.to_owned(),
-        line: error.line(),
-        field: format!("column {}", error.column()),
-        problem: "not JSON of a reconstruction from here on; the file is truncated, damaged or of another kind".into(),
-    })
+    let problem = "not JSON of a reconstruction from here on; the file is truncated, damaged or of another kind";
+    object.map(|object| object.into_keys().collect()).map_err(|error| json::error(path, &error, problem))
 }
 
 /// Format of another file, by its first bytes and its name.
@@ -152,7 +148,7 @@ fn of_text(path: &Path, start: &str) -> Result<Format, IoError> {
     } else {
         return Err(IoError::content(path, format!("not a reconstruction of a known format; give {READABLE}")));
     };
-    Err(unreadable(path, what, cure))
+    Err(IoError::unsupported(path, what, cure))
 }
 
 /// The text formats, by their first line.
@@ -177,13 +173,9 @@ fn plain_text(start: &str) -> Option<Format> {
     }
 }
 
-fn unreadable(path: &Path, what: &str, cure: &str) -> IoError {
-    IoError::Unsupported { path: path.to_owned(), what: what.to_owned(), cure: cure.to_owned() }
-}
-
 /// The error about a point cloud.
 pub(super) fn points_alone(path: &Path) -> IoError {
-    unreadable(path, "a point cloud without cameras", &format!("give {READABLE}"))
+    IoError::unsupported(path, "a point cloud without cameras", format!("give {READABLE}"))
 }
 
 #[cfg(test)]

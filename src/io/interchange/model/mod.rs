@@ -125,10 +125,8 @@ pub fn lost_on_reading(path: &Path, format: Format) -> Vec<String> {
 /// As [`read`]; a camera that this program cannot project with.
 pub fn read_for_geometry(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     let (model, format) = read(path)?;
-    match model.first_foreign() {
-        Some((id, name)) => Err(colmap::foreign_camera(path, id, name)),
-        None => Ok((model, format)),
-    }
+    colmap::refuse_foreign(path, &model)?;
+    Ok((model, format))
 }
 
 /// Writes a reconstruction and says what the format had no place for. To PLY go its points alone.
@@ -144,11 +142,10 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Loss
         Format::Nerfstudio => nerfstudio::write(path, model),
         Format::Nvm => nvm::write(path, model),
         Format::Bundler => bundler::write(path, model),
-        Format::Tum | Format::Kitti => Err(IoError::Unsupported {
-            path: path.into(),
-            what: format!("writing a camera path in {format} format"),
-            cure: "write a COLMAP model instead".into(),
-        }),
+        Format::Tum | Format::Kitti => {
+            let what = format!("writing a camera path in {format} format");
+            Err(IoError::unsupported(path, what, "write a COLMAP model instead"))
+        }
         Format::Ply => {
             let points: Vec<_> = model.points.values().map(|p| (p.position, p.rgb)).collect();
             let losses = Losses::default().counted(
@@ -228,21 +225,19 @@ pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<For
     Ok(if let Some((_, format)) = by_name.into_iter().find(|(is_named, _)| *is_named) {
         format
     } else if ends("json") {
-        return Err(IoError::Unsupported {
-            path: to.into(),
-            what: "JSON file of unknown format".into(),
-            cure: "name it sfm_data.json (OpenMVG), reconstruction.json (OpenSfM) or transforms.json (nerfstudio), or \
-                 give the format with --to"
-                .into(),
-        });
+        return Err(IoError::unsupported(
+            to,
+            "JSON file of unknown format",
+            "name it sfm_data.json (OpenMVG), reconstruction.json (OpenSfM) or transforms.json (nerfstudio), or give \
+             the format with --to",
+        ));
     } else if to.extension().is_some_and(is_ending) && !to.is_dir() {
-        return Err(IoError::Unsupported {
-            path: to.into(),
-            what: "output of unknown format".into(),
-            cure: "name it NAME.ply, NAME.nvm, NAME.db, bundle.out, sfm_data.json, reconstruction.json or \
-                 transforms.json, or a folder without an ending for COLMAP; or give the format with --to"
-                .into(),
-        });
+        return Err(IoError::unsupported(
+            to,
+            "output of unknown format",
+            "name it NAME.ply, NAME.nvm, NAME.db, bundle.out, sfm_data.json, reconstruction.json or transforms.json, \
+             or a folder without an ending for COLMAP; or give the format with --to",
+        ));
     } else if from == Format::ColmapText || colmap::check_text_names(to, model).is_err() {
         Format::ColmapBinary
     } else {

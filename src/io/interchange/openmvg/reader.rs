@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point2, Point3, Vector2};
 use super::document::{Document, Entry, Extrinsic, Intrinsic, Landmark, Polymorphic, Size, View};
 use super::{FIRST_USE, PIXEL_OFFSET, UNDEFINED};
 use crate::camera::{Camera, Model};
-use crate::io::interchange::assembly::{add_point, rotation};
+use crate::io::interchange::assembly::{add_point, foreign_camera, rotation};
 use crate::io::interchange::model::Intrinsics;
 use crate::io::{IoError, json};
 use crate::math::Rigid3;
@@ -96,10 +96,9 @@ fn add_cameras(
             names.insert(value.polymorphic_id & !FIRST_USE, name.as_str());
         }
         let name = names.get(&(value.polymorphic_id & !FIRST_USE)).copied().unwrap_or("unnamed");
-        let (camera, form) = camera(name, &value.ptr_wrapper.data).map_err(|what| IoError::Unsupported {
-            path: path.into(),
-            what: format!("intrinsic {key}: {what}"),
-            cure: "use pinhole, pinhole_radial_k1, pinhole_radial_k3 or pinhole_brown_t2".into(),
+        let (camera, form) = camera(name, &value.ptr_wrapper.data).map_err(|what| {
+            let cure = "use pinhole, pinhole_radial_k1, pinhole_radial_k3 or pinhole_brown_t2";
+            IoError::unsupported(path, format!("intrinsic {key}: {what}"), cure)
         })?;
         let id = CameraId(id(path, *key)?);
         model.cameras.insert(id, camera);
@@ -114,8 +113,7 @@ fn camera(name: &str, intrinsic: &Intrinsic) -> Result<(Camera, Option<CameraFor
     let size = intrinsic.value0.or(intrinsic.width.zip(intrinsic.height).map(|(width, height)| Size { width, height }));
     let Size { width, height } = size.filter(|size| size.width > 0 && size.height > 0).ok_or_else(broken)?;
     if name == "spherical" {
-        let params = vec![f64::from(width), f64::from(height)];
-        return Ok(foreign(Model::Equirectangular, width, height, params));
+        return Ok(foreign(Model::Equirectangular, width, height, &[f64::from(width), f64::from(height)]));
     }
     let (focal, [cx, cy]) = intrinsic.focal_length.zip(intrinsic.principal_point).ok_or_else(broken)?;
     let (cx, cy) = (cx + PIXEL_OFFSET, cy + PIXEL_OFFSET);
@@ -134,14 +132,15 @@ fn camera(name: &str, intrinsic: &Intrinsic) -> Result<(Camera, Option<CameraFor
     }
     if name == "fisheye" {
         let params = [&[focal, focal, cx, cy], &intrinsic.fisheye[..]].concat();
-        return Ok(foreign(Model::OpenCvFisheye, width, height, params));
+        return Ok(foreign(Model::OpenCvFisheye, width, height, &params));
     }
     let camera = Camera::prior(width, height).with_parameters(&all).ok_or_else(broken)?;
     Ok((camera, None))
 }
 
-fn foreign(model: Model, width: u32, height: u32, params: Vec<f64>) -> (Camera, Option<CameraForm>) {
-    (model.pinhole_part(width, height, &params), Some(CameraForm::Foreign(model, params)))
+fn foreign(model: Model, width: u32, height: u32, params: &[f64]) -> (Camera, Option<CameraForm>) {
+    let (camera, form) = foreign_camera(model, width, height, params);
+    (camera, Some(form))
 }
 
 fn poses(path: &Path, entries: &[Entry<Extrinsic>]) -> Result<BTreeMap<u32, Rigid3>, IoError> {

@@ -8,9 +8,9 @@ use nalgebra::Point2;
 use super::document::{Document, Entry, Extrinsic, Feature, Intrinsic, Landmark, Pointer, Polymorphic, Size, View};
 use super::{FIRST_USE, PIXEL_OFFSET, SAME_TYPE};
 use crate::camera::{Camera, HigherTerms, Model};
-use crate::io::interchange::assembly::{Losses, Short, check_finite};
+use crate::io::interchange::assembly::{Losses, Short, check_finite, written_camera};
 use crate::io::{IoError, atomic};
-use crate::scene::{CameraForm, CameraId, Image, ImageId, Point3d, Point3dId, Reconstruction};
+use crate::scene::{CameraId, Image, ImageId, Point3d, Point3dId, Reconstruction};
 
 /// Writes a reconstruction and says what the format has no place for.
 ///
@@ -113,16 +113,8 @@ fn intrinsics(
     pointers: &mut Pointers,
 ) -> Result<Vec<Entry<Polymorphic<Intrinsic>>>, IoError> {
     let entry = |(id, camera): (&CameraId, &Camera)| {
-        let (name, data) = match model.camera_forms.get(id) {
-            Some(CameraForm::Foreign(form, params)) => foreign(*form, params, camera),
-            Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
-            _ => covered(camera),
-        }
-        .map_err(|what| IoError::Unsupported {
-            path: path.to_path_buf(),
-            what: format!("camera {}: {what} in OpenMVG's format", id.0),
-            cure: "write a COLMAP model instead".to_owned(),
-        })?;
+        let foreign = |form: Model, params: &[f64]| foreign(form, params, camera);
+        let (name, data) = written_camera(path, model, *id, "OpenMVG's format", || covered(camera), foreign)?;
         Ok(Entry { key: keys.cameras[id], value: pointers.typed(name, data) })
     };
     model.cameras.iter().map(entry).collect()

@@ -24,14 +24,12 @@ use std::path::{Path, PathBuf};
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
-use super::assembly::{Losses, add_point, check_finite, check_line_names, unsupported_camera};
+use super::assembly::{Losses, add_point, check_finite, check_line_names, foreign_camera, written_camera};
 use crate::camera::{Camera, HigherTerms, Model};
 use crate::io::{IoError, atomic, json};
 use crate::math::Rigid3;
 use crate::scene::{CameraForm, CameraId, Image, ImageId, Point3dId, Reconstruction};
 use document::{CameraEntry, Document, PointEntry, ShotEntry};
-
-const FORMAT: &str = "OpenSfM's format";
 
 /// The files that are written: the reconstruction and its tracks.
 pub fn files(path: &Path) -> [PathBuf; 2] {
@@ -51,7 +49,8 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let mut model = Reconstruction::default();
     let mut cameras = BTreeMap::new();
     for (id, (name, entry)) in (1..).map(CameraId).zip(&document.cameras) {
-        let (camera, form) = camera(entry).map_err(|what| unknown_camera(path, name, &what))?;
+        let unknown = |what| IoError::unsupported(path, format!("camera '{name}': {what}"), "use perspective or brown");
+        let (camera, form) = camera(entry).map_err(unknown)?;
         cameras.insert(name.as_str(), id);
         model.cameras.insert(id, camera);
         model.camera_forms.extend(form.map(|form| (id, form)));
@@ -90,14 +89,6 @@ fn point_ids(points: &BTreeMap<String, PointEntry>) -> Vec<(Point3dId, (&String,
     own.unwrap_or_else(|| (1..).map(Point3dId).zip(points).collect())
 }
 
-fn unknown_camera(path: &Path, name: &str, what: &str) -> IoError {
-    IoError::Unsupported {
-        path: path.to_path_buf(),
-        what: format!("camera '{name}': {what}"),
-        cure: "use perspective or brown".to_owned(),
-    }
-}
-
 /// The camera, and its form where nothing can be projected with it.
 fn camera(entry: &CameraEntry) -> Result<(Camera, Option<CameraForm>), String> {
     let kind = entry.projection_type.as_str();
@@ -112,8 +103,8 @@ fn camera(entry: &CameraEntry) -> Result<(Camera, Option<CameraForm>), String> {
     let cy = entry.c_y * side + f64::from(height) / 2.0;
     let CameraEntry { k1, k2, k3, k4, p1, p2, .. } = *entry;
     let foreign = |model: Model, params: &[f64]| {
-        let form = CameraForm::Foreign(model, params.to_vec());
-        Ok((model.pinhole_part(width, height, params), Some(form)))
+        let (camera, form) = foreign_camera(model, width, height, params);
+        Ok((camera, Some(form)))
     };
     if kind == "spherical" || kind == "equirectangular" {
         return foreign(Model::Equirectangular, &[f64::from(width), f64::from(height)]);
@@ -142,12 +133,9 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_line_names(path, model)?;
     let mut cameras = BTreeMap::new();
     for (id, camera) in &model.cameras {
-        let entry = match model.camera_forms.get(id) {
-            Some(CameraForm::Foreign(form, params)) => foreign_entry(*form, params, camera),
-            Some(CameraForm::Unknown) => Err("unknown camera model".to_owned()),
-            _ => Ok(covered_entry(camera)),
-        };
-        cameras.insert(camera_name(*id), entry.map_err(|what| unsupported_camera(path, *id, &what, FORMAT))?);
+        let covered = || Ok(covered_entry(camera));
+        let foreign = |form: Model, params: &[f64]| foreign_entry(form, params, camera);
+        cameras.insert(camera_name(*id), written_camera(path, model, *id, "OpenSfM's format", covered, foreign)?);
     }
     let shots = model.images.values().map(|image| (image.name.clone(), shot(image))).collect();
     let point = |point: &crate::scene::Point3d| PointEntry {

@@ -84,12 +84,7 @@ impl Header {
         let mut encoding = None;
         let mut elements: Vec<Element> = Vec::new();
         for number in 1.. {
-            let error = |field: &str, problem: &str| IoError::Line {
-                path: path.into(),
-                line: number,
-                field: field.into(),
-                problem: problem.into(),
-            };
+            let error = |field: &str, problem: &str| IoError::line(path, number, field, problem);
             let Some(end) = rest.iter().position(|&b| b == b'\n') else {
                 return Err(error("header", "the file ends here"));
             };
