@@ -6,17 +6,13 @@
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Receiver};
 use super::text::{check_length, number};
-
-/// The name in reports.
-pub(super) const DIALECT: &str = "ardupilot";
+use super::time::DAY_S;
 
 /// Fields in logs that lost their `FMT` line.
 const FIELDS: &str = "TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd";
 
 /// GPS time began 3,657 days after 1970, and is ahead of UTC by the 18 leap seconds since (the last one in 2017).
 const GPS_EPOCH_S: f64 = 315_964_800.0 - 18.0;
-/// Seconds in a week.
-const WEEK_S: f64 = 604_800.0;
 
 /// Returns true if a line is one of such a log.
 pub(super) fn is_message(line: &str) -> bool {
@@ -38,7 +34,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
                 let cells: Vec<&str> = cells.collect();
                 match check_length(content).and_then(|()| fix(&fields, &cells, line)) {
                     Err(reason) => log.pass_over(line, reason),
-                    Ok(fix) => log.push(DIALECT, fix),
+                    Ok(fix) => log.push("ardupilot", fix),
                 }
             }
             _ => {}
@@ -61,7 +57,7 @@ fn fix(fields: &[String], cells: &[&str], line: usize) -> Result<Fix, String> {
     let of_week = value("GMS").or_else(|| value("TimeMS")).map(|ms| 1e-3 * ms);
     let week = value("GWk").or_else(|| value("Week")).filter(|week| *week > 0.0);
     Ok(Fix {
-        clock_s: week.zip(of_week).map(|(week, of_week_s)| GPS_EPOCH_S + week * WEEK_S + of_week_s),
+        clock_s: week.zip(of_week).map(|(week, of_week_s)| GPS_EPOCH_S + week * 7.0 * DAY_S + of_week_s),
         gps_height_m: value("Alt"),
         speed_m_s: value("Spd"),
         ..Fix::at(line, position).received_by(receiver, value("HDop"))

@@ -3,9 +3,6 @@
 use super::fix::Position;
 use super::text::{number, resolution, shown};
 
-/// Digits of the meridian that a degree of either sort may have gone into.
-const MINUTES: f64 = 60.0;
-
 /// A position from its two numbers as written: decimal degrees, or degrees, minutes and seconds with their signs and a
 /// letter (`48°12'30.5"N`).
 ///
@@ -37,7 +34,7 @@ fn in_range(what: &str, value_deg: f64, most_deg: f64) -> Result<(), String> {
         return Ok(());
     }
     let degrees = (value_deg.abs() / 100.0).floor();
-    let is_joined = degrees <= most_deg && value_deg.abs() - 100.0 * degrees < MINUTES;
+    let is_joined = degrees <= most_deg && value_deg.abs() - 100.0 * degrees < 60.0;
     let hint = if is_joined { ": degrees and minutes in one number? give decimal degrees" } else { "" };
     Err(format!("{what} {value_deg}: expected −{most_deg} to {most_deg}{hint}"))
 }
@@ -69,12 +66,12 @@ fn angle(text: &str) -> Option<(f64, f64)> {
 fn sexagesimal(parts: &[&str]) -> Option<(f64, f64)> {
     let [degrees, rest @ ..] = parts else { return None };
     let smaller: Vec<f64> = rest.iter().map(|part| number(part)).collect::<Option<_>>()?;
-    if rest.is_empty() || rest.len() > 2 || smaller.iter().any(|part| !(0.0..MINUTES).contains(part)) {
+    if rest.is_empty() || rest.len() > 2 || smaller.iter().any(|part| !(0.0..60.0).contains(part)) {
         return None;
     }
     let degrees_value = number(degrees)?;
-    let share: f64 = smaller.iter().zip([MINUTES, MINUTES * MINUTES]).map(|(part, unit)| part / unit).sum();
-    let fine = resolution(rest[rest.len() - 1]) / MINUTES.powi(rest.len() as i32);
+    let share: f64 = smaller.iter().zip([60.0, 3600.0]).map(|(part, unit)| part / unit).sum();
+    let fine = resolution(rest[rest.len() - 1]) / 60f64.powi(rest.len() as i32);
     Some((if degrees.starts_with('-') { degrees_value - share } else { degrees_value + share }, fine))
 }
 

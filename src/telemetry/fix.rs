@@ -12,7 +12,7 @@ use super::summary::Range;
 use crate::memory::MemoryLimit;
 
 /// One position of the receiver.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fix {
     /// Format or dialect in which it is written.
     pub dialect: &'static str,
@@ -50,23 +50,8 @@ impl Fix {
     /// A position of a plain receiver, nothing else known.
     pub(super) fn at(line: usize, position: Position) -> Self {
         let (horizontal_std_m, vertical_std_m) = Receiver::Plain.std_m();
-        Self {
-            dialect: "",
-            line,
-            photograph: None,
-            video_s: None,
-            clock_s: None,
-            longitude_deg: position.longitude_deg,
-            latitude_deg: position.latitude_deg,
-            resolution_deg: position.resolution_deg,
-            gps_height_m: None,
-            relative_height_m: None,
-            horizontal_std_m,
-            vertical_std_m,
-            attitude: None,
-            gimbal: None,
-            speed_m_s: None,
-        }
+        let Position { longitude_deg, latitude_deg, resolution_deg } = position;
+        Self { line, longitude_deg, latitude_deg, resolution_deg, horizontal_std_m, vertical_std_m, ..Self::default() }
     }
 
     /// Takes the deviations of a kind of receiver, widened by its dilution of precision where that is stated.

@@ -3,16 +3,12 @@
 //! Read: longitude and latitude, `ele` (metres above the sea), `time` (UTC), `fix` (kind of receiver), `hdop`, and
 //! `speed` wherever it stands. A file that breaks off is used as far as it goes.
 
-use quick_xml::Reader;
-use quick_xml::events::{BytesStart, Event};
+use quick_xml::events::BytesStart;
 
-use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Receiver};
-use super::text::{LineCounter, number};
-use super::time;
-
-/// The name in reports.
-pub(super) const DIALECT: &str = "gpx";
+use super::text::number;
+use super::xml::{self, Element};
+use super::{coordinate, time};
 
 /// A point that is being read.
 #[derive(Default)]
@@ -30,43 +26,22 @@ struct Open {
 /// Reads a text into an empty log.
 pub(super) fn read(text: &str, empty: Log) -> Log {
     let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..empty };
-    let mut reader = Reader::from_str(text);
-    reader.config_mut().check_end_names = false;
-    let mut lines = LineCounter::new(text);
-    let (mut open, mut content): (Option<Open>, String) = (None, String::new());
-    loop {
-        match reader.read_event() {
-            Err(error) => {
-                let line = lines.at(reader.error_position());
-                log.pass_over(line, format!("file truncated or damaged here ({error})"));
-                break;
-            }
-            Ok(Event::Eof) => break,
-            Ok(Event::Start(tag)) => {
-                content.clear();
-                if is_point(&tag) {
-                    open = Some(begin(&tag, lines.at(reader.buffer_position())));
-                }
-            }
-            Ok(Event::Empty(tag)) if is_point(&tag) => {
-                finish(begin(&tag, lines.at(reader.buffer_position())), &mut log)
-            }
-            Ok(Event::Text(text)) => content.push_str(&text),
-            Ok(Event::End(tag)) => match tag.local_name().as_ref() {
-                "trkpt" | "rtept" | "wpt" => open.take().into_iter().for_each(|open| finish(open, &mut log)),
-                name => open.iter_mut().for_each(|open| take(open, name, content.trim())),
-            },
-            Ok(_) => {}
-        }
-    }
+    let mut open: Option<Open> = None;
+    xml::read(text, &mut log, |element, line, log| match element {
+        Element::Start(tag) if is_point(tag.local_name().as_ref()) => open = Some(begin(&tag, line)),
+        Element::Empty(tag) if is_point(tag.local_name().as_ref()) => finish(begin(&tag, line), log),
+        Element::End(name, _) if is_point(name) => open.take().into_iter().for_each(|open| finish(open, log)),
+        Element::End(name, content) => open.iter_mut().for_each(|open| take(open, name, content.trim())),
+        _ => {}
+    });
     if let Some(open) = open {
         log.pass_over(open.line, "file truncated inside this point");
     }
     log
 }
 
-fn is_point(tag: &BytesStart) -> bool {
-    matches!(tag.local_name().as_ref(), "trkpt" | "rtept" | "wpt")
+fn is_point(name: &str) -> bool {
+    matches!(name, "trkpt" | "rtept" | "wpt")
 }
 
 fn begin(tag: &BytesStart, line: usize) -> Open {
@@ -103,7 +78,7 @@ fn finish(open: Open, log: &mut Log) {
     match coordinate::position(&open.longitude, &open.latitude) {
         Err(reason) => log.pass_over(open.line, reason),
         Ok(position) => log.push(
-            DIALECT,
+            "gpx",
             Fix {
                 clock_s: open.clock_s,
                 gps_height_m: open.height_m,

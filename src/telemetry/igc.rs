@@ -7,13 +7,7 @@
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position};
 use super::text::check_length;
-use super::time;
-
-/// The name in reports.
-pub(super) const DIALECT: &str = "igc";
-
-/// Seconds in a day.
-const DAY_S: f64 = 86_400.0;
+use super::time::{self, DAY_S};
 
 /// Returns true if a text is such a file: a manufacturer's record, and a date or a fix.
 pub(super) fn is_igc(text: &str) -> bool {
@@ -36,7 +30,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
                         midnight_s = midnight_s.map(|midnight_s| midnight_s + DAY_S);
                     }
                     last_s = of_day_s;
-                    log.push(DIALECT, Fix { clock_s: Some(midnight_s.unwrap_or(0.0) + of_day_s), ..fix });
+                    log.push("igc", Fix { clock_s: Some(midnight_s.unwrap_or(0.0) + of_day_s), ..fix });
                 }
             }
         }

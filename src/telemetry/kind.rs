@@ -26,13 +26,15 @@ pub enum Kind {
     Gpmf,
 }
 
-/// So much of a file is looked at, bytes.
-const HEAD: usize = 1 << 16;
+/// The beginning of a file, by which formats are recognized.
+pub(super) fn head_of(bytes: &[u8]) -> &[u8] {
+    &bytes[..bytes.len().min(1 << 16)]
+}
 
 impl Kind {
     /// The format of a file with this content.
     pub fn of(bytes: &[u8]) -> Option<Self> {
-        let head = &bytes[..bytes.len().min(HEAD)];
+        let head = head_of(bytes);
         if matches!(
             head,
             [0xff, 0xd8, 0xff, ..] | [0x89, b'P', b'N', b'G', ..] | [b'I', b'I', 42, 0, ..] | [b'M', b'M', 0, 42, ..]

@@ -3,16 +3,10 @@
 //! Heights count with the altitude mode `absolute`, which is above the sea. A file that breaks off is used as far as it
 //! goes.
 
-use quick_xml::Reader;
-use quick_xml::events::Event;
-
-use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log};
-use super::text::{LineCounter, check_length, number};
-use super::time;
-
-/// The name in reports.
-pub(super) const DIALECT: &str = "kml";
+use super::text::{check_length, number};
+use super::xml::{self, Element};
+use super::{coordinate, time};
 
 /// A track or a point that is being read.
 #[derive(Default)]
@@ -26,41 +20,24 @@ struct Open {
 /// Reads a text into an empty log.
 pub(super) fn read(text: &str, empty: Log) -> Log {
     let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..empty };
-    let mut reader = Reader::from_str(text);
-    reader.config_mut().check_end_names = false;
-    let mut lines = LineCounter::new(text);
-    let (mut open, mut content) = (Open::default(), String::new());
-    loop {
-        match reader.read_event() {
-            Err(error) => {
-                let line = lines.at(reader.error_position());
-                log.pass_over(line, format!("file truncated or damaged here ({error})"));
-                break;
-            }
-            Ok(Event::Eof) => break,
-            Ok(Event::Start(tag)) => {
-                content.clear();
-                match tag.local_name().as_ref() {
-                    "Placemark" | "Track" => finish(std::mem::take(&mut open), &mut log),
-                    "Point" => open.is_point = true,
-                    _ => {}
-                }
-            }
-            Ok(Event::Text(text)) => content.push_str(&text),
-            Ok(Event::End(tag)) => match tag.local_name().as_ref() {
-                "Placemark" | "Track" => finish(std::mem::take(&mut open), &mut log),
-                "Point" => open.is_point = false,
-                "when" => open.times.push(time::iso_s(content.trim()).map(|(time_s, _)| time_s)),
-                "altitudeMode" => open.is_absolute = content.trim() == "absolute",
-                "coord" => take(&mut open, &content, lines.at(reader.buffer_position()), &mut log),
-                "coordinates" if open.is_point => {
-                    take(&mut open, &content, lines.at(reader.buffer_position()), &mut log);
-                }
-                _ => {}
-            },
-            Ok(_) => {}
-        }
-    }
+    let mut open = Open::default();
+    xml::read(text, &mut log, |element, line, log| match element {
+        Element::Start(tag) => match tag.local_name().as_ref() {
+            "Placemark" | "Track" => finish(std::mem::take(&mut open), log),
+            "Point" => open.is_point = true,
+            _ => {}
+        },
+        Element::Empty(_) => {}
+        Element::End(name, content) => match name {
+            "Placemark" | "Track" => finish(std::mem::take(&mut open), log),
+            "Point" => open.is_point = false,
+            "when" => open.times.push(time::iso_s(content.trim()).map(|(time_s, _)| time_s)),
+            "altitudeMode" => open.is_absolute = content.trim() == "absolute",
+            "coord" => take(&mut open, content, line, log),
+            "coordinates" if open.is_point => take(&mut open, content, line, log),
+            _ => {}
+        },
+    });
     finish(open, &mut log);
     log
 }
@@ -83,7 +60,7 @@ fn finish(open: Open, log: &mut Log) {
         match coordinate::position(longitude, latitude) {
             Err(reason) => log.pass_over(line, reason),
             Ok(position) => {
-                log.push(DIALECT, Fix { clock_s: clock_s.flatten(), gps_height_m: height_m, ..Fix::at(line, position) })
+                log.push("kml", Fix { clock_s: clock_s.flatten(), gps_height_m: height_m, ..Fix::at(line, position) })
             }
         }
     }

@@ -37,6 +37,7 @@ mod srt;
 mod summary;
 mod text;
 mod time;
+mod xml;
 
 #[cfg(test)]
 pub(crate) use gpmf::made;

@@ -6,15 +6,8 @@
 
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
-use super::text::{check_length, number, resolution};
-use super::time;
-
-/// The name in reports.
-pub(super) const DIALECT: &str = "nmea";
-
-/// Seconds in a day.
-const DAY_S: f64 = 86_400.0;
-const KNOT_M_S: f64 = 0.514_444;
+use super::text::{KNOT_M_S, check_length, number, resolution};
+use super::time::{self, DAY_S};
 
 /// Values of the sentences of one time.
 #[derive(Default)]
@@ -162,7 +155,7 @@ impl Reading {
         let fix = Fix::at(epoch.line, position).received_by(epoch.receiver.unwrap_or(Receiver::Plain), epoch.dilution);
         let (horizontal_std_m, vertical_std_m) = epoch.std_m.unwrap_or((fix.horizontal_std_m, fix.vertical_std_m));
         self.log.push(
-            DIALECT,
+            "nmea",
             Fix {
                 clock_s: Some(self.midnight_s.unwrap_or(0.0) + epoch.time_s),
                 gps_height_m: epoch.height_m,

@@ -4,13 +4,18 @@ use std::cmp::Ordering;
 
 use super::fix::{Fix, Log};
 
+/// Time by which fixes are ordered: that in the video if all have one, else that of the clock.
+fn time_of(fixes: &[Fix]) -> impl Fn(&Fix) -> Option<f64> + Copy + use<> {
+    let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
+    move |fix| if by_video { fix.video_s } else { fix.clock_s }
+}
+
 /// Sorts fixes whose order in the file is another one: newest first, or tracks in any order.
 ///
 /// Series of rising times that do not overlap are tracks and are sorted. Where they overlap, single times are wrong or
 /// the clock was set, and [`keep_rising`] decides.
 pub(super) fn sort_by_time(log: &mut Log) {
-    let by_video = log.fixes.iter().all(|fix| fix.video_s.is_some());
-    let time_s = |fix: &Fix| if by_video { fix.video_s } else { fix.clock_s };
+    let time_s = time_of(&log.fixes);
     let times: Option<Vec<f64>> = log.fixes.iter().map(time_s).collect();
     let Some(times) = times else { return };
     let num_falling = times.windows(2).filter(|pair| pair[1] < pair[0]).count();
@@ -36,9 +41,7 @@ pub(super) fn sort_by_time(log: &mut Log) {
 /// stay as they are.
 pub(super) fn keep_rising(log: &mut Log) {
     let fixes = std::mem::take(&mut log.fixes);
-    let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
-    let time_s = |fix: &Fix| if by_video { fix.video_s } else { fix.clock_s };
-    let times: Vec<Option<f64>> = fixes.iter().map(time_s).collect();
+    let times: Vec<Option<f64>> = fixes.iter().map(time_of(&fixes)).collect();
     if times.iter().all(Option::is_none) {
         log.fixes = fixes;
         return;

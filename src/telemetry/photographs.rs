@@ -4,7 +4,7 @@
 //! `GPSDifferential`.
 
 use std::io::Cursor;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use exif::{Exif, In, Rational, Tag, Value};
 
@@ -12,6 +12,7 @@ use super::bytes::bytes_of;
 use super::coordinate;
 use super::error::TelemetryError;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
+use super::text::{KNOT_M_S, MPH_M_S};
 use super::time;
 use crate::memory::MemoryLimit;
 
@@ -24,12 +25,10 @@ pub(super) const DIALECT: &str = "exif";
 /// # Errors
 /// [`TelemetryError::NoFix`] if none of them has a position; what is wrong with single ones stands in the log.
 pub fn read_photographs(paths: &[PathBuf]) -> Result<Log, TelemetryError> {
-    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
+    let mut log = empty();
     for (number, path) in (1..).zip(paths) {
-        match bytes_of(path, MemoryLimit::of_machine())
-            .map_err(|error| error.to_string())
-            .and_then(|bytes| fix(&bytes, number))
-        {
+        let bytes = bytes_of(path, MemoryLimit::of_machine()).map_err(|error| error.to_string());
+        match bytes.and_then(|bytes| fix(&bytes, number)) {
             Err(reason) => log.pass_over(number, format!("{}: {reason}", path.display())),
             Ok(fix) => {
                 let photograph = path.file_name().map(|name| name.to_string_lossy().into_owned());
@@ -37,28 +36,29 @@ pub fn read_photographs(paths: &[PathBuf]) -> Result<Log, TelemetryError> {
             }
         }
     }
-    finish(log, paths.first().map_or(Path::new(""), PathBuf::as_path))
-}
-
-/// The log of one photograph whose content is at hand.
-pub(super) fn read_one(bytes: &[u8]) -> Log {
-    let mut log = Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() };
-    match fix(bytes, 1) {
-        Ok(fix) => log.push(DIALECT, fix),
-        Err(reason) => log.pass_over(1, reason),
-    }
-    log
-}
-
-fn finish(mut log: Log, first: &Path) -> Result<Log, TelemetryError> {
     if log.fixes.is_empty() {
-        let reason = log.passed_over.first().map(|passed| passed.reason.clone());
-        return Err(TelemetryError::NoFix { path: first.to_path_buf(), what: "photographs".to_owned(), first: reason });
+        let (path, first) = (paths.first().cloned().unwrap_or_default(), log.passed_over.into_iter().next());
+        let first = first.map(|passed| passed.reason);
+        return Err(TelemetryError::NoFix { path, what: "photographs".to_owned(), first });
     }
     if log.fixes.iter().all(|fix| fix.clock_s.is_none()) {
         log.clock = ClockKind::Absent;
     }
     Ok(log)
+}
+
+fn empty() -> Log {
+    Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() }
+}
+
+/// The log of one photograph whose content is at hand.
+pub(super) fn read_one(bytes: &[u8]) -> Log {
+    let mut log = empty();
+    match fix(bytes, 1) {
+        Ok(fix) => log.push(DIALECT, fix),
+        Err(reason) => log.pass_over(1, reason),
+    }
+    log
 }
 
 fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
@@ -137,8 +137,8 @@ fn height_m(exif: &Exif) -> Option<f64> {
 fn speed_m_s(exif: &Exif) -> Option<f64> {
     let unit = match letters(exif, Tag::GPSSpeedRef)?.as_str() {
         "K" => 1.0 / 3.6,
-        "M" => 0.447_04,
-        "N" => 0.514_444,
+        "M" => MPH_M_S,
+        "N" => KNOT_M_S,
         _ => return None,
     };
     Some(rational(exif, Tag::GPSSpeed)? * unit)

@@ -8,6 +8,7 @@ use super::bytes::bytes_of;
 use super::error::TelemetryError;
 use super::fix::{ClockKind, Log, Room};
 use super::gpmf::{self, Payload};
+use super::kind::head_of;
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, ardupilot, csv, dji, foreign, gpx, igc, kml, nmea, order, photographs};
@@ -88,8 +89,7 @@ pub fn read_gpmf(
 
 /// Refuses a file of no known format; of some the converter is known.
 fn unreadable(bytes: &[u8], path: &Path) -> TelemetryError {
-    // The formats are recognized by their beginning.
-    let head = &bytes[..bytes.len().min(1 << 16)];
+    let head = head_of(bytes);
     let path = path.to_path_buf();
     match foreign::recognize(head, &decode(head)) {
         Some(format) => TelemetryError::Foreign { path, what: format.name, cure: format.cure },

@@ -121,13 +121,12 @@ impl Log {
 
     /// None of a log that lasts for less than its times are written to.
     fn rate_hz(&self) -> Option<f64> {
-        // Logs write times to a millisecond.
-        const LEAST_DURATION_S: f64 = 1e-3;
         let place = |fix: &Fix| (fix.longitude_deg, fix.latitude_deg);
         let moves = self.fixes.windows(2).filter(|pair| place(&pair[0]) != place(&pair[1])).count();
         let time_s = |fix: &Fix| fix.video_s.or(fix.clock_s);
         let (first, last) = (time_s(self.fixes.first()?)?, time_s(self.fixes.last()?)?);
-        (last - first >= LEAST_DURATION_S && moves > 0).then(|| moves as f64 / (last - first))
+        // Logs write times to a millisecond.
+        (last - first >= 1e-3 && moves > 0).then(|| moves as f64 / (last - first))
     }
 
     fn extent_m(&self) -> f64 {

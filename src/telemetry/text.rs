@@ -18,6 +18,10 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
     char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
 }
 
+/// Miles per hour and knots, metres per second.
+pub(super) const MPH_M_S: f64 = 0.447_04;
+pub(super) const KNOT_M_S: f64 = 0.514_444;
+
 /// Longer lines are no telemetry.
 const MAX_LINE: usize = 1 << 16;
 
@@ -57,28 +61,6 @@ pub(super) fn resolution(text: &str) -> f64 {
     let digits = mantissa.split_once('.').map_or("", |(_, digits)| digits);
     let count = digits.bytes().take_while(u8::is_ascii_digit).count() as i32;
     10f64.powi((exponent.parse::<i32>().unwrap_or(0).clamp(-15, 15) - count).clamp(-15, 15))
-}
-
-/// Line numbers of positions that only rise.
-pub(super) struct LineCounter<'a> {
-    text: &'a [u8],
-    at: usize,
-    line: usize,
-}
-
-impl<'a> LineCounter<'a> {
-    pub(super) fn new(text: &'a str) -> Self {
-        Self { text: text.as_bytes(), at: 0, line: 1 }
-    }
-
-    pub(super) fn at(&mut self, position: u64) -> usize {
-        let end = usize::try_from(position).unwrap_or(usize::MAX).min(self.text.len());
-        if end > self.at {
-            self.line += self.text[self.at..end].iter().filter(|&&byte| byte == b'\n').count();
-            self.at = end;
-        }
-        self.line
-    }
 }
 
 #[cfg(test)]

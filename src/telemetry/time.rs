@@ -5,6 +5,9 @@ use jiff::civil::DateTime;
 
 use super::text::number;
 
+/// Seconds in a day.
+pub(super) const DAY_S: f64 = 86_400.0;
+
 /// Seconds after 1970-01-01T00:00:00 of a date and a time without a zone, both on the same clock.
 ///
 /// Takes year, month, day, hour, minute, second; `None` of what is no date.

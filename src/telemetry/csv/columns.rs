@@ -1,6 +1,6 @@
 //! Columns of a table by name and unit.
 
-use super::super::text::shown;
+use super::super::text::{KNOT_M_S, MPH_M_S, shown};
 
 /// Quantity of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -118,8 +118,8 @@ const UNITS: [(Dimension, f64, &[&str]); 12] = [
     (Dimension::Time, 1e-6, &["us"]),
     (Dimension::Speed, 1.0, &["m/s", "mps"]),
     (Dimension::Speed, 1.0 / 3.6, &["km/h", "kmh"]),
-    (Dimension::Speed, 0.447_04, &["mph"]),
-    (Dimension::Speed, 0.514_444, &["kn", "kt", "knots"]),
+    (Dimension::Speed, MPH_M_S, &["mph"]),
+    (Dimension::Speed, KNOT_M_S, &["kn", "kt", "knots"]),
     // Some logs write the range of an angle, 0 to 360, for its unit.
     (Dimension::Angle, 1.0, &["deg", "degrees", "°", "360"]),
     (Dimension::Angle, 180.0 / std::f64::consts::PI, &["rad"]),

@@ -21,7 +21,7 @@ pub use self::lens::Lens;
 use super::coordinate;
 use super::fix::{CameraSample, ClockKind, Fix, HeightDatum, Log, Position, Receiver};
 use super::summary::Range;
-use super::time;
+use super::time::{self, DAY_S};
 use crate::math::median;
 
 /// Names of the two forms of positions in reports.
@@ -272,7 +272,6 @@ fn position(entry: &Entry, known: &Properties, index: usize, dialect: &str) -> R
 
 /// 2000-01-01, seconds after 1970.
 const EPOCH_2000_S: f64 = 946_684_800.0;
-const DAY_S: f64 = 86_400.0;
 
 /// Seconds after 1970 of `yymmddhhmmss.sss`.
 fn utc_s(text: &str) -> Option<f64> {
