@@ -1,10 +1,11 @@
 //! Why a file is no video that can be decoded.
 
 use std::fs::File;
-use std::io::{Read, Seek, SeekFrom};
+use std::io::{Seek, SeekFrom};
 use std::path::Path;
 
 use super::VideoError;
+use super::mp4::head_at;
 use crate::ffi::ffmpeg::{FfmpegError, Stream, StreamKind};
 use crate::files;
 
@@ -57,12 +58,12 @@ fn mp4_index(file: &mut File) -> Option<Mp4Index> {
     let end = file.seek(SeekFrom::End(0)).ok()?;
     let mut at = 0;
     for _ in 0..MOST_BOXES {
-        let Some((name, size)) = box_at(file, at) else { break };
-        if at == 0 && !FIRST_BOXES.contains(&&name) {
+        let Some(head) = head_at(file, at) else { break };
+        if at == 0 && !FIRST_BOXES.contains(&&head.kind) {
             return None;
         }
-        let next = if size == 0 { end } else { at.checked_add(size)? };
-        if &name == b"moov" && next <= end {
+        let next = head.size.map_or(Some(end), |size| at.checked_add(size.max(head.num_bytes)))?;
+        if &head.kind == b"moov" && next <= end {
             return Some(Mp4Index::Whole);
         }
         at = next;
@@ -70,29 +71,10 @@ fn mp4_index(file: &mut File) -> Option<Mp4Index> {
     (at > 0).then_some(Mp4Index::Missing)
 }
 
-/// Name and size of the box at a place in the file; a size of 0 means that it goes on to the end.
-fn box_at(file: &mut File, at: u64) -> Option<([u8; 4], u64)> {
-    /// Of a box with a size of 64 bits.
-    const LONGEST_HEAD: u64 = 16;
-    file.seek(SeekFrom::Start(at)).ok()?;
-    let mut head = Vec::new();
-    file.take(LONGEST_HEAD).read_to_end(&mut head).ok()?;
-    let name = head.get(4..8)?.try_into().ok()?;
-    let size = match u32::from_be_bytes(head.get(..4)?.try_into().ok()?) {
-        1 => u64::from_be_bytes(head.get(8..16)?.try_into().ok()?).max(LONGEST_HEAD),
-        size @ 1..8 => u64::from(size.max(8)),
-        size => u64::from(size),
-    };
-    Some((name, size))
-}
-
 #[cfg(test)]
 mod tests {
+    use super::super::made::boxed;
     use super::*;
-
-    fn boxed(name: &[u8; 4], content: &[u8]) -> Vec<u8> {
-        [&(content.len() as u32 + 8).to_be_bytes()[..], name, content].concat()
-    }
 
     #[test]
     fn a_file_says_why_it_is_no_video() {

@@ -12,13 +12,18 @@ use crate::image::ImageError;
 /// # Errors
 /// [`VideoError::Missing`], [`VideoError::Unreadable`].
 pub(super) fn regular(path: &Path) -> Result<(), VideoError> {
-    files::check(path).map_err(|source| match source.kind() {
-        io::ErrorKind::NotFound => VideoError::Missing { path: path.to_owned() },
-        _ => VideoError::Unreadable { path: path.to_owned(), source },
-    })
+    files::check(path).map_err(VideoError::unreadable(path))
 }
 
 impl VideoError {
+    /// For `map_err`: the system refuses to read the path.
+    pub(super) fn unreadable(path: &Path) -> impl Fn(io::Error) -> Self {
+        move |source| match source.kind() {
+            io::ErrorKind::NotFound => Self::Missing { path: path.to_owned() },
+            _ => Self::Unreadable { path: path.to_owned(), source },
+        }
+    }
+
     /// Returns true if the machine is at fault, and not the input: another time the same frame may be decoded.
     pub fn is_of_machine(&self) -> bool {
         matches!(self, Self::Thread(_) | Self::Ffmpeg(FfmpegError::Memory))

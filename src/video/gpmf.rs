@@ -1,12 +1,12 @@
 //! The telemetry track of a video (GPMF), as action cameras write it, and the settings in the container's user data.
 
-use std::io::{self, Read, Seek, SeekFrom};
+use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
 
-use super::error::regular;
-use super::{VideoError, diagnosis, tracks};
-use crate::ffi::ffmpeg::{MediaFile, Packet, StreamKind};
-use crate::{files, memory};
+use super::mp4::head_at;
+use super::{VideoError, tracks};
+use crate::ffi::ffmpeg::StreamKind;
+use crate::files;
 
 /// A payload of the track.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,30 +35,14 @@ pub struct Gpmf {
 /// # Errors
 /// As [`subtitles`](super::subtitles).
 pub fn gpmf(path: &Path, track: Option<u32>) -> Result<Option<Gpmf>, VideoError> {
-    regular(path)?;
-    let mut file = MediaFile::open(path).map_err(|error| diagnosis::refused(path, error))?;
-    let streams = file.streams();
-    let Some(stream) = streams.iter().find(|stream| stream.kind == StreamKind::Gpmf) else { return Ok(None) };
-    let origin_s = tracks::choose(&file, path, track).map_or(0.0, |chosen| chosen.stream.start_s());
-    file.keep_only(stream.index);
-    let mut packet = Packet::new()?;
-    let (mut payloads, mut taken) = (Vec::new(), 0);
-    // Its samples take up as much again.
-    let limit = memory::of_machine() / 4;
-    while file.read(&mut packet)? {
-        let Some(time) = packet.time() else { continue };
-        taken += (size_of::<Payload>() + packet.data().len()) as u64;
-        if taken > limit {
-            return Err(VideoError::TextTooLarge { path: path.to_owned(), limit });
-        }
-        payloads.push(Payload {
-            start_s: stream.time_base.seconds(time) - origin_s,
-            end_s: stream.time_base.seconds(time.saturating_add(packet.duration())) - origin_s,
-            data: packet.data().to_vec(),
-        });
-    }
+    let payload = |_, data: &[u8], [start_s, end_s]: [f64; 2]| {
+        Some((Payload { start_s, end_s, data: data.to_vec() }, data.len()))
+    };
+    let Some(payloads) = tracks::packets(path, track, |kind| kind == StreamKind::Gpmf, payload)? else {
+        return Ok(None);
+    };
     // Settings that cannot be read are none: the track is what counts.
-    let settings = files::open(path).and_then(|mut file| settings(&mut file)).unwrap_or_default();
+    let settings = files::open(path).ok().and_then(|mut file| settings(&mut file)).unwrap_or_default();
     Ok(Some(Gpmf { payloads, settings }))
 }
 
@@ -68,55 +52,34 @@ const MOST_BOXES: usize = 4096;
 /// Cameras write 25 KiB.
 const MOST_SETTINGS: u64 = 1 << 20;
 
-/// Content of `moov/udta/GPMF` (ISO/IEC 14496-12), empty if there is none.
-fn settings(file: &mut (impl Read + Seek)) -> io::Result<Vec<u8>> {
-    let end = file.seek(SeekFrom::End(0))?;
-    let mut span = (0, end);
+/// Content of `moov/udta/GPMF` (ISO/IEC 14496-12), if there is any that can be read.
+fn settings(file: &mut (impl Read + Seek)) -> Option<Vec<u8>> {
+    let mut span = (0, file.seek(SeekFrom::End(0)).ok()?);
     for kind in [b"moov", b"udta", b"GPMF"] {
-        match find(file, span, kind)? {
-            Some(found) => span = found,
-            None => return Ok(Vec::new()),
-        }
+        span = find(file, span, kind)?;
     }
-    file.seek(SeekFrom::Start(span.0))?;
+    file.seek(SeekFrom::Start(span.0)).ok()?;
     let mut content = Vec::new();
-    file.take((span.1 - span.0).min(MOST_SETTINGS)).read_to_end(&mut content)?;
-    Ok(content)
+    file.take((span.1 - span.0).min(MOST_SETTINGS)).read_to_end(&mut content).ok()?;
+    Some(content)
 }
 
 /// Beginning and end of the content of the first box of a kind among those from `start` to `end`.
-fn find(file: &mut (impl Read + Seek), (start, end): (u64, u64), kind: &[u8; 4]) -> io::Result<Option<(u64, u64)>> {
-    const HEAD: u64 = 8;
+fn find(file: &mut (impl Read + Seek), (start, end): (u64, u64), kind: &[u8; 4]) -> Option<(u64, u64)> {
     let mut at = start;
     for _ in 0..MOST_BOXES {
-        if end.saturating_sub(at) < HEAD {
-            break;
+        let head = head_at(file, at)?;
+        let content = at.saturating_add(head.num_bytes);
+        let next = head.size.map_or(end, |size| at.saturating_add(size));
+        if next < content || next > end {
+            return None;
         }
-        file.seek(SeekFrom::Start(at))?;
-        let (mut size, mut name) = ([0; 4], [0; 4]);
-        file.read_exact(&mut size)?;
-        file.read_exact(&mut name)?;
-        let (head, size) = match u32::from_be_bytes(size) {
-            // To the end of the file.
-            0 => (HEAD, end - at),
-            // A size of 64 bits follows.
-            1 => {
-                let mut size = [0; 8];
-                file.read_exact(&mut size)?;
-                (2 * HEAD, u64::from_be_bytes(size))
-            }
-            size => (HEAD, u64::from(size)),
-        };
-        let next = at.saturating_add(size);
-        if size < head || next > end {
-            break;
-        }
-        if name == *kind {
-            return Ok(Some((at + head, next)));
+        if head.kind == *kind {
+            return Some((content, next));
         }
         at = next;
     }
-    Ok(None)
+    None
 }
 
 #[cfg(test)]

@@ -25,6 +25,7 @@ mod gpmf;
 mod jpeg;
 #[cfg(test)]
 pub(crate) mod made;
+mod mp4;
 mod options;
 mod prefetch;
 mod repeats;

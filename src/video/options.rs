@@ -112,9 +112,6 @@ impl Default for Options {
     }
 }
 
-/// The smallest picture in which anything can be found.
-const MIN_DIMENSION: u32 = 16;
-
 impl Options {
     /// Rejects contradictions.
     ///
@@ -132,7 +129,8 @@ impl Options {
         if self.every == 0 {
             return Err(OptionError::new("every", "--every must be at least 1"));
         }
-        if self.max_dimension.is_some_and(|side| side < MIN_DIMENSION) {
+        // Nothing can be found in smaller ones.
+        if self.max_dimension.is_some_and(|side| side < 16) {
             return Err(OptionError::new("max_dimension", "--max-dimension must be at least 16 pixels"));
         }
         // From one picture in eleven days to a million in a second: beyond, times would no longer tell frames apart.

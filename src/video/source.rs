@@ -3,7 +3,6 @@
 
 use std::collections::BTreeSet;
 use std::fs;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -96,9 +95,6 @@ pub struct Source {
     remarks: Vec<Warning>,
 }
 
-/// Stated counts of frames may be this far off without being worth a word: containers round durations.
-const COUNT_TOLERANCE: u32 = 1;
-
 impl Source {
     /// Opens an input and decodes its first picture's size. Pictures of a folder that have another size are left out.
     ///
@@ -134,16 +130,12 @@ impl Source {
         growth: Option<Arc<Growth>>,
     ) -> Result<Self, VideoError> {
         options.check()?;
-        let unreadable = |source: io::Error| match source.kind() {
-            io::ErrorKind::NotFound => VideoError::Missing { path: path.to_owned() },
-            _ => VideoError::Unreadable { path: path.to_owned(), source },
-        };
-        let metadata = fs::metadata(path).map_err(unreadable)?;
+        let metadata = fs::metadata(path).map_err(VideoError::unreadable(path))?;
         let (info, listing, remarks) = if metadata.is_dir() {
             let listing = folder::list(path, options.turning, cameras)?;
             (folder_info(&listing, options), Some(listing), Vec::new())
         } else {
-            files::open(path).map_err(unreadable)?;
+            files::open(path).map_err(VideoError::unreadable(path))?;
             if metadata.len() == 0 {
                 return Err(VideoError::Empty { path: path.to_owned() });
             }
@@ -279,7 +271,8 @@ impl Source {
     fn count_warning(&self, decoder: &dyn Decoder) -> Option<Warning> {
         let stated = self.info.num_frames.filter(|_| self.info.kind == Kind::Video && self.options.end.is_none())?;
         let found = decoder.num_stepped();
-        (found + COUNT_TOLERANCE < stated).then(|| {
+        // Containers round durations: a count may be off by one.
+        (found + 1 < stated).then(|| {
             let path = self.path.display();
             Topic::FramesMissing.warning(format!(
                 "{path}: only {found} of {stated} frames can be decoded; the file is truncated or damaged"

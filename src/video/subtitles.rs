@@ -2,10 +2,8 @@
 
 use std::path::Path;
 
-use super::error::regular;
-use super::{VideoError, diagnosis, tracks};
-use crate::ffi::ffmpeg::{MediaFile, Packet, Stream, StreamKind, TextCoding};
-use crate::memory;
+use super::{VideoError, tracks};
+use crate::ffi::ffmpeg::{StreamKind, TextCoding};
 
 /// A text and when it is to be shown.
 #[derive(Clone, Debug, PartialEq)]
@@ -29,43 +27,23 @@ pub struct Subtitle {
 /// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Playlist`],
 /// [`VideoError::Ffmpeg`], [`VideoError::TextTooLarge`].
 pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Subtitle>, VideoError> {
-    regular(path)?;
-    let mut file = MediaFile::open(path).map_err(|error| diagnosis::refused(path, error))?;
-    let streams = file.streams();
-    let is_text = |stream: &&Stream| matches!(stream.kind, StreamKind::Text(_));
-    let Some(Stream { index, kind: StreamKind::Text(coding), time_base, .. }) = streams.iter().find(is_text).copied()
-    else {
-        return Ok(Vec::new());
+    let subtitle = |kind, data: &[u8], [start_s, end_s]: [f64; 2]| {
+        let StreamKind::Text(coding) = kind else { return None };
+        let text = text(data, coding);
+        let num_bytes = text.capacity();
+        (!text.is_empty()).then_some((Subtitle { start_s, end_s, text }, num_bytes))
     };
-    let origin_s = tracks::choose(&file, path, track).map_or(0.0, |chosen| chosen.stream.start_s());
-    file.keep_only(index);
-    let mut packet = Packet::new()?;
-    let (mut found, mut taken) = (Vec::new(), 0);
-    // They are copied again where telemetry is read from them.
-    let limit = memory::of_machine() / 4;
-    while file.read(&mut packet)? {
-        let Some(time) = packet.time() else { continue };
-        let text = text(packet.data(), coding);
-        if !text.is_empty() {
-            taken += (size_of::<Subtitle>() + text.capacity()) as u64;
-            if taken > limit {
-                return Err(VideoError::TextTooLarge { path: path.to_owned(), limit });
-            }
-            let end_s = time_base.seconds(time.saturating_add(packet.duration())) - origin_s;
-            found.push(Subtitle { start_s: time_base.seconds(time) - origin_s, end_s, text });
-        }
-    }
-    Ok(found)
+    let is_text = |kind| matches!(kind, StreamKind::Text(_));
+    Ok(tracks::packets(path, track, is_text, subtitle)?.unwrap_or_default())
 }
 
 /// The text that a packet holds.
 fn text(data: &[u8], coding: TextCoding) -> String {
-    /// Fields before the text of a line of Advanced SubStation Alpha.
-    const SUB_STATION_FIELDS: usize = 8;
     let text = match coding {
         TextCoding::Plain => data,
         TextCoding::Timed => timed(data),
-        TextCoding::SubStation => data.splitn(SUB_STATION_FIELDS + 1, |byte| *byte == b',').last().unwrap_or_default(),
+        // Eight fields go before the text.
+        TextCoding::SubStation => data.splitn(9, |byte| *byte == b',').last().unwrap_or_default(),
     };
     String::from_utf8_lossy(text).trim_matches('\0').trim_end().to_owned()
 }

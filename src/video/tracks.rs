@@ -2,9 +2,10 @@
 
 use std::path::Path;
 
-use super::VideoError;
-use super::diagnosis;
+use super::error::regular;
+use super::{VideoError, diagnosis};
 use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind};
+use crate::memory;
 use crate::scene::{Topic, Warning};
 
 /// A track with fewer frames than this share of the longest one is not the camera's: cameras recorded together have 15
@@ -54,6 +55,41 @@ pub(super) fn choose(file: &MediaFile, path: &Path, wanted: Option<u32>) -> Resu
             Ok(chosen(enough.map_or(*first, |k| moving[k])))
         }
     }
+}
+
+/// Makes something of the packets with a time in the first stream of a kind; `None` if there is no such stream. Nothing
+/// is decoded.
+///
+/// * `track` – video track whose clock counts, as [`choose`] takes it.
+/// * `make` – gets the kind of the stream, the content of a packet, and its beginning and end on the clock of the
+///   frames, seconds; returns what is kept, and the bytes that this owns.
+pub(super) fn packets<T>(
+    path: &Path,
+    track: Option<u32>,
+    is_wanted: impl Fn(StreamKind) -> bool,
+    make: impl Fn(StreamKind, &[u8], [f64; 2]) -> Option<(T, usize)>,
+) -> Result<Option<Vec<T>>, VideoError> {
+    regular(path)?;
+    let mut file = MediaFile::open(path).map_err(|error| diagnosis::refused(path, error))?;
+    let Some(stream) = file.streams().into_iter().find(|stream| is_wanted(stream.kind)) else { return Ok(None) };
+    let origin_s = choose(&file, path, track).map_or(0.0, |chosen| chosen.stream.start_s());
+    file.keep_only(stream.index);
+    let mut packet = Packet::new()?;
+    let (mut found, mut taken) = (Vec::new(), 0);
+    // Telemetry that is read from them takes up as much again.
+    let limit = memory::of_machine() / 4;
+    while file.read(&mut packet)? {
+        let Some(time) = packet.time() else { continue };
+        let end = time.saturating_add(packet.duration());
+        let span_s = [time, end].map(|ticks| stream.time_base.seconds(ticks) - origin_s);
+        let Some((item, num_bytes)) = make(stream.kind, packet.data(), span_s) else { continue };
+        taken += (size_of::<T>() + num_bytes) as u64;
+        if taken > limit {
+            return Err(VideoError::TextTooLarge { path: path.to_owned(), limit });
+        }
+        found.push(item);
+    }
+    Ok(Some(found))
 }
 
 /// Packets of each track in the beginning of the file.
