@@ -3,12 +3,10 @@
 /// Lowers the priority of the calling thread: it gets what others leave of the processor. Linux only; elsewhere nothing
 /// happens.
 pub fn lower() {
-    /// Nice value: the thread gets about a tenth of a core that another one wants as well.
+    // Nice value 10: about a tenth of a core that another thread wants as well. On Linux the "process" without an id is
+    // the calling thread. A refusal leaves the priority as it is.
     #[cfg(target_os = "linux")]
-    const NICE: i32 = 10;
-    // On Linux the "process" without an id is the calling thread. A refusal leaves the priority as it is.
-    #[cfg(target_os = "linux")]
-    let _ = rustix::process::setpriority_process(None, NICE);
+    let _ = rustix::process::setpriority_process(None, 10);
 }
 
 #[cfg(all(test, target_os = "linux"))]

@@ -1,14 +1,13 @@
 //! A video file that is written picture by picture.
 
-use std::ffi::{CStr, CString, c_int};
-use std::os::unix::ffi::OsStrExt;
+use std::ffi::{CStr, c_int};
 use std::path::Path;
 use std::ptr;
 
 use ::image::RgbImage;
 use ffmpeg_sys_the_third as sys;
 
-use super::{FfmpegError, checked, words};
+use super::{FfmpegError, checked, url_of, words};
 
 /// Encoders, the best first: H.264 where the distribution has it, else MPEG-4 part 2, which every FFmpeg has.
 const ENCODERS: [&CStr; 3] = [c"libx264", c"libopenh264", c"mpeg4"];
@@ -16,10 +15,6 @@ const ENCODERS: [&CStr; 3] = [c"libx264", c"libopenh264", c"mpeg4"];
 const TICKS_PER_S: c_int = 60_000;
 /// Threads of the encoder. They are part of the result: the number of cores must not be.
 const NUM_THREADS: c_int = 4;
-/// Options of x264: a good picture, quickly.
-const X264_OPTIONS: [(&CStr, &CStr); 2] = [(c"preset", c"veryfast"), (c"crf", c"21")];
-/// Options of x264 for a preview: 6 to 8 kB a picture of 640×360 pixels.
-const X264_PREVIEW_OPTIONS: [(&CStr, &CStr); 2] = [(c"preset", c"veryfast"), (c"crf", c"27")];
 /// Pictures between two that are coded by themselves, in a preview: a jump to any picture decodes at most so many.
 const PREVIEW_INTERVAL: c_int = 10;
 /// Bits per second and pixel for encoders that have no constant quality.
@@ -35,17 +30,13 @@ enum Use {
 impl Use {
     /// Browsers play H.264 alone.
     fn encoders(self) -> &'static [&'static CStr] {
-        match self {
-            Self::Film => &ENCODERS,
-            Self::Preview => &ENCODERS[..2],
-        }
+        if self == Self::Film { &ENCODERS } else { &ENCODERS[..2] }
     }
 
+    /// Options of x264: a good picture, quickly; of a preview 6 to 8 kB a picture of 640×360 pixels.
     fn x264_options(self) -> [(&'static CStr, &'static CStr); 2] {
-        match self {
-            Self::Film => X264_OPTIONS,
-            Self::Preview => X264_PREVIEW_OPTIONS,
-        }
+        let quality = if self == Self::Film { c"21" } else { c"27" };
+        [(c"preset", c"veryfast"), (c"crf", quality)]
     }
 }
 
@@ -108,8 +99,7 @@ impl Encoder {
         if width == 0 || height == 0 {
             return Err(FfmpegError::Encoder(format!("images of {}x{} pixels are too small", size.0, size.1)));
         }
-        let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
-        let url = CString::new(url).map_err(|_| FfmpegError::Write("path contains a zero byte".to_owned()))?;
+        let url = url_of(path).ok_or_else(|| FfmpegError::Write("path contains a zero byte".to_owned()))?;
         encoder.open_container(&url)?;
         encoder.open_codec((width, height), rate, purpose)?;
         encoder.open_scaler(width, height)?;

@@ -5,80 +5,15 @@
 //! it is known to read one file only. The price is a conversion for owners of rare formats, which the message names.
 
 /// Formats in which cameras, recorders and editors store video.
-const VIDEOS: [&str; 52] = [
-    "apng",
-    "asf",
-    "asf_o",
-    "av1",
-    "avi",
-    "avs2",
-    "avs3",
-    "cavsvideo",
-    "cine",
-    "dhav",
-    "dirac",
-    "dnxhd",
-    "dv",
-    "evc",
-    "film_cpk",
-    "filmstrip",
-    "flic",
-    "flv",
-    "gif",
-    "gxf",
-    "h261",
-    "h263",
-    "h264",
-    "hevc",
-    "ifv",
-    "ivf",
-    "ivr",
-    "kux",
-    "live_flv",
-    "lxf",
-    "m4v",
-    "matroska,webm",
-    "mjpeg",
-    "mjpeg_2000",
-    "mov,mp4,m4a,3gp,3g2,mj2",
-    "mpeg",
-    "mpegts",
-    "mpegtsraw",
-    "mpegvideo",
-    "mpjpeg",
-    "mxf",
-    "mxg",
-    "nsv",
-    "nut",
-    "nuv",
-    "obu",
-    "ogg",
-    "rm",
-    "vc1",
-    "vvc",
-    "wtv",
-    "yuv4mpegpipe",
-];
+const VIDEOS: &str = "apng asf asf_o av1 avi avs2 avs3 cavsvideo cine dhav dirac dnxhd dv evc film_cpk filmstrip flic flv gif gxf h261 \
+     h263 h264 hevc ifv ivf ivr kux live_flv lxf m4v matroska,webm mjpeg mjpeg_2000 mov,mp4,m4a,3gp,3g2,mj2 mpeg mpegts \
+     mpegtsraw mpegvideo mpjpeg mxf mxg nsv nut nuv obu ogg rm vc1 vvc wtv yuv4mpegpipe";
 /// Rare ones: TiVo, PlayStation Portable, TechnoTrend, Red, SER, VC-1 test streams, Flash, SMJPEG, LMLM4, Ingenient.
-const RARE_VIDEOS: [&str; 10] = ["ty", "pmp", "pva", "r3d", "ser", "vc1test", "swf", "smjpeg", "lmlm4", "ingenient"];
+const RARE_VIDEOS: &str = "ty pmp pva r3d ser vc1test swf smjpeg lmlm4 ingenient";
 /// Sound and subtitles: opened, so that the message can say what the file holds, and for receivers' logs in subtitles.
-const OTHERS: [&str; 13] =
-    ["aac", "ac3", "aiff", "amr", "ass", "caf", "eac3", "flac", "mp3", "srt", "w64", "wav", "webvtt"];
+const OTHERS: &str = "aac ac3 aiff amr ass caf eac3 flac mp3 srt w64 wav webvtt";
 /// Formats that name other files or addresses.
-const PLAYLISTS: [&str; 12] = [
-    "avisynth",
-    "concat",
-    "dash",
-    "hls",
-    "imf",
-    "rtp",
-    "rtsp",
-    "sap",
-    "sdp",
-    "vapoursynth",
-    "vobsub",
-    "webm_dash_manifest",
-];
+const PLAYLISTS: &str = "avisynth concat dash hls imf rtp rtsp sap sdp vapoursynth vobsub webm_dash_manifest";
 
 /// Treatment of a container format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -93,9 +28,10 @@ pub(super) enum Admission {
 
 /// Decides by FFmpeg's name of a demuxer.
 pub(super) fn admission(demuxer: &str) -> Admission {
-    if VIDEOS.contains(&demuxer) || RARE_VIDEOS.contains(&demuxer) || OTHERS.contains(&demuxer) {
+    let is_in = |names: &str| names.split(' ').any(|name| name == demuxer);
+    if is_in(VIDEOS) || is_in(RARE_VIDEOS) || is_in(OTHERS) {
         Admission::Open
-    } else if PLAYLISTS.contains(&demuxer) {
+    } else if is_in(PLAYLISTS) {
         Admission::Playlist
     } else {
         Admission::Refuse

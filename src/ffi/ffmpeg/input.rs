@@ -115,17 +115,14 @@ unsafe extern "C" fn read(opened: *mut c_void, buffer: *mut u8, size: c_int) -> 
 
 #[allow(unsafe_code)]
 unsafe extern "C" fn seek(opened: *mut c_void, offset: i64, whence: c_int) -> i64 {
-    /// Of `<stdio.h>`, as are the next two.
-    const SEEK_SET: c_int = 0;
-    const SEEK_CUR: c_int = 1;
-    const SEEK_END: c_int = 2;
     // SAFETY: `opened` is the one of `open`; FFmpeg calls from one thread at a time.
     let file = unsafe { &mut (*opened.cast::<Opened>()).file };
     let found = match whence & !sys::AVSEEK_FORCE {
         sys::AVSEEK_SIZE => file.metadata().map(|found| found.len()),
-        SEEK_SET => file.seek(SeekFrom::Start(u64::try_from(offset).unwrap_or(u64::MAX))),
-        SEEK_CUR => file.seek(SeekFrom::Current(offset)),
-        SEEK_END => file.seek(SeekFrom::End(offset)),
+        // SEEK_SET, SEEK_CUR and SEEK_END of `<stdio.h>`.
+        0 => file.seek(SeekFrom::Start(u64::try_from(offset).unwrap_or(u64::MAX))),
+        1 => file.seek(SeekFrom::Current(offset)),
+        2 => file.seek(SeekFrom::End(offset)),
         _ => return sys::AVERROR(Errno::INVAL.raw_os_error()).into(),
     };
     let code = |error: std::io::Error| error.raw_os_error().unwrap_or(Errno::IO.raw_os_error());

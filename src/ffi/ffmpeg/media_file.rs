@@ -1,7 +1,6 @@
 //! A container: its streams, and the packets that they consist of.
 
-use std::ffi::{CStr, CString, c_int};
-use std::os::unix::ffi::OsStrExt;
+use std::ffi::{CStr, c_int};
 use std::path::Path;
 use std::ptr;
 use std::sync::Arc;
@@ -10,7 +9,7 @@ use ffmpeg_sys_the_third as sys;
 
 use super::formats::{self, Admission};
 use super::input::{self, Input};
-use super::{Decoder, FfmpegError, checked, is_short_of_memory, stated, words};
+use super::{Decoder, FfmpegError, checked, is_short_of_memory, stated, url_of, words};
 use crate::files::Growth;
 
 /// Time of a growing file, microseconds, that FFmpeg examines before the first frame; its default of 5 s would delay
@@ -185,8 +184,7 @@ impl MediaFile {
 
     fn open_as(path: &Path, growth: Option<Arc<Growth>>) -> Result<Self, FfmpegError> {
         let is_growing = growth.is_some();
-        let url = [b"file:".as_slice(), path.as_os_str().as_bytes()].concat();
-        let url = CString::new(url).map_err(|_| FfmpegError::Open("path contains a zero byte".to_owned()))?;
+        let url = url_of(path).ok_or_else(|| FfmpegError::Open("path contains a zero byte".to_owned()))?;
         let refused = |code| FfmpegError::Open(words(code));
         let input = Input::open(path, growth)?;
         let format = probe(&input, &url)?;

@@ -17,7 +17,9 @@ mod input;
 mod luma;
 mod media_file;
 
-use std::ffi::{CStr, c_int};
+use std::ffi::{CStr, CString, c_int};
+use std::os::unix::ffi::OsStrExt;
+use std::path::Path;
 
 use ffmpeg_sys_the_third as sys;
 use rustix::io::Errno;
@@ -113,6 +115,11 @@ fn has_memory(bytes: usize) -> bool {
     // What nobody looks at is not allocated at all.
     let mut trial = Vec::<u8>::new();
     std::hint::black_box(&mut trial).try_reserve_exact(bytes).is_ok()
+}
+
+/// FFmpeg's name of a file, which is never taken for another protocol's address; `None` if the path has a zero byte.
+fn url_of(path: &Path) -> Option<CString> {
+    CString::new([b"file:".as_slice(), path.as_os_str().as_bytes()].concat()).ok()
 }
 
 /// Result of a call of FFmpeg, which returns errors below zero.

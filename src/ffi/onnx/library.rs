@@ -16,8 +16,6 @@ use crate::ffi::environment;
 
 const _: () = assert!(MINIMUM_VERSION == ort::MINOR_VERSION);
 
-/// The environment variables that may name the library, first come first served. `ORT_DYLIB_PATH` is `ort`'s own.
-const VARIABLES: [&str; 2] = ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH"];
 /// The library's file name on Linux.
 const FILE_NAME: &str = "libonnxruntime.so";
 /// Keeps ONNX Runtime from reporting its use: since 1.29 it does so on Linux unless it finds this variable when it is
@@ -72,13 +70,18 @@ pub(super) fn execution_provider(provider: Provider) -> Result<Option<ExecutionP
 /// Returns true if a library exists where it is searched for, without loading it. One that only the system's loader
 /// would find does not count.
 pub(super) fn is_in_place() -> bool {
-    let named = VARIABLES.iter().find_map(|variable| env::var_os(variable).filter(|value| !value.is_empty()));
-    match named {
-        Some(named) => Path::new(&named).exists(),
+    match named() {
+        Some((_, named)) => named.exists(),
         None => candidates(env::current_exe().ok().as_deref())
             .iter()
             .any(|path| path.components().count() > 1 && path.exists()),
     }
+}
+
+/// The first environment variable that names the library, and its value. `ORT_DYLIB_PATH` is `ort`'s own.
+fn named() -> Option<(&'static str, PathBuf)> {
+    let value = |name: &'static str| Some((name, PathBuf::from(env::var_os(name).filter(|value| !value.is_empty())?)));
+    ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH"].into_iter().find_map(value)
 }
 
 /// The runtime, loaded by the first call that succeeds; a failure is tried again by the next call.
@@ -95,14 +98,11 @@ pub(super) fn runtime() -> Result<&'static Runtime, OnnxError> {
 
 /// Loads the first library that serves; which one that is depends on the environment and the file system.
 fn load() -> Result<PathBuf, OnnxError> {
-    for variable in VARIABLES {
-        if let Some(named) = env::var_os(variable).filter(|value| !value.is_empty()) {
-            let path = PathBuf::from(named);
-            return match try_load(&path) {
-                Ok(()) => Ok(path),
-                Err(reason) => Err(OnnxError::NamedRuntime { variable, reason }),
-            };
-        }
+    if let Some((variable, path)) = named() {
+        return match try_load(&path) {
+            Ok(()) => Ok(path),
+            Err(reason) => Err(OnnxError::NamedRuntime { variable, reason }),
+        };
     }
     let mut tried = Vec::new();
     for path in candidates(env::current_exe().ok().as_deref()) {
