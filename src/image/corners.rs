@@ -2,7 +2,7 @@
 
 use pulp::{Arch, Simd, WithSimd};
 
-use super::GrayImage;
+use super::{GrayImage, mirrored};
 
 /// The smaller eigenvalue of the structure tensor at every pixel (J. Shi, C. Tomasi, *Good Features to Track*, CVPR
 /// 1994), row-major.
@@ -58,11 +58,11 @@ impl WithSimd for Work<'_> {
         for (y, out) in values.chunks_exact_mut(width).enumerate() {
             // Rows y - 1, y and y + 1, at their places modulo 3; the first and the last are mirrored at the border.
             for next in (if y == 0 { 0 } else { y + 1 })..(y + 2).min(height) {
-                let around = [mirrored(next as isize - 1, height), next, mirrored(next as isize + 1, height)];
+                let around = [mirrored(next as i64 - 1, height), next, mirrored(next as i64 + 1, height)];
                 gradients.fill(around.map(row));
                 products[next % 3].fill(&gradients);
             }
-            let around = [mirrored(y as isize - 1, height), y, mirrored(y as isize + 1, height)];
+            let around = [mirrored(y as i64 - 1, height), y, mirrored(y as i64 + 1, height)];
             sums.add_up(around.map(|y| &products[y % 3]));
             sums.write_smaller_eigenvalues(out);
         }
@@ -70,19 +70,11 @@ impl WithSimd for Work<'_> {
     }
 }
 
-/// An index that may be one beyond either end, mirrored at the centre of the last pixel.
-#[inline(always)]
-fn mirrored(index: isize, len: usize) -> usize {
-    let last = len as isize - 1;
-    let index = if index < 0 { -index } else { index };
-    (if index > last { 2 * last - index } else { index }).max(0) as usize
-}
-
 /// A row with one more value at each end.
 fn mirror_ends<T: Copy>(row: &mut [T]) {
     let width = row.len() - 2;
     row[0] = row[1 + mirrored(-1, width)];
-    row[width + 1] = row[1 + mirrored(width as isize, width)];
+    row[width + 1] = row[1 + mirrored(width as i64, width)];
 }
 
 /// Gradients in the middle of three rows of an image: smoothed values and vertical differences, with one more value at

@@ -23,9 +23,7 @@ pub use self::corners::CornerStrength;
 pub use self::degrade::{blurred, noisy};
 pub use self::line_segments::line_segments;
 pub use self::lucas_kanade::{LucasKanade, Pyramid, Returned, TrackedPoint};
-pub use self::opencv_mat::{
-    borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, mat_from_gray, mat_from_rgb, rgb_from_mat,
-};
+pub use self::opencv_mat::{borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_gray, mat_from_rgb, rgb_from_mat};
 pub use self::picture::Picture;
 pub use self::resize::{gray_from_rgb, resize_gray, resize_rgb, resize_rgb_quickly, scale_to_fit, warp_gray, warp_rgb};
 pub use ::image::{GrayImage, RgbImage};
@@ -59,4 +57,12 @@ pub enum ImageError {
         /// OpenCV's type number that was found.
         found: i32,
     },
+}
+
+/// An index of a row that goes on beyond its ends as its mirror image; the row is not empty.
+#[inline(always)]
+fn mirrored(index: i64, len: usize) -> usize {
+    let last = len as i64 - 1;
+    let index = index.abs();
+    (if index > last { 2 * last - index } else { index }).clamp(0, last) as usize
 }

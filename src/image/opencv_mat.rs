@@ -1,7 +1,7 @@
 //! Conversions between the `image` crate's buffers and OpenCV's matrices.
 
 use ::image::{GrayImage, RgbImage};
-use nalgebra::Matrix2x3;
+use nalgebra::SMatrix;
 use opencv::boxed_ref::BoxedRef;
 use opencv::core::{CV_8UC1, CV_8UC3, Mat, MatTraitConst, MatTraitConstManual, Vec3b};
 
@@ -29,10 +29,10 @@ pub fn mat_from_rgb(image: &RgbImage) -> Result<Mat, ImageError> {
     Ok(borrowed_rgb(image)?.try_clone()?)
 }
 
-/// A 2 × 3 matrix as OpenCV takes affine maps.
-pub fn mat_from_affine(map: &Matrix2x3<f64>) -> Result<Mat, ImageError> {
+/// A matrix as OpenCV takes affine maps (2 × 3) and homographies (3 × 3).
+pub(super) fn mat_from_matrix<const R: usize, const C: usize>(map: &SMatrix<f64, R, C>) -> Result<Mat, ImageError> {
     let rows: Vec<f64> = map.transpose().iter().copied().collect();
-    Ok(Mat::new_rows_cols_with_data::<f64>(2, 3, &rows)?.try_clone()?)
+    Ok(Mat::new_rows_cols_with_data::<f64>(R as i32, C as i32, &rows)?.try_clone()?)
 }
 
 /// A grey image from a one-channel 8-bit matrix.

@@ -5,7 +5,8 @@ use nalgebra::{Matrix2x3, Matrix3, Vector2};
 use opencv::core::{BORDER_CONSTANT, BORDER_REPLICATE, Mat, MatTraitConst, Scalar, Size, ToInputArray};
 use opencv::imgproc;
 
-use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, mat_from_affine, rgb_from_mat};
+use super::opencv_mat::mat_from_matrix;
+use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, rgb_from_mat};
 
 /// The luma of a colour image, as OpenCV weighs it (0.299 R + 0.587 G + 0.114 B).
 pub fn gray_from_rgb(image: &RgbImage) -> Result<GrayImage, ImageError> {
@@ -59,7 +60,7 @@ pub fn warp_gray(
     let mut map = *source_from_target;
     map.set_column(2, &(source_from_target * middle.push(1.0) - middle));
     let (flags, mut out) = (imgproc::INTER_LINEAR | imgproc::WARP_INVERSE_MAP, Mat::default());
-    let map = mat_from_affine(&map)?;
+    let map = mat_from_matrix(&map)?;
     imgproc::warp_affine(&borrowed_gray(image)?, &mut out, &map, size, flags, BORDER_REPLICATE, Scalar::default())?;
     gray_from_mat(&out)
 }
@@ -72,8 +73,7 @@ pub fn warp_rgb(image: &RgbImage, target_from_source: &Matrix3<f64>) -> Result<R
     // OpenCV counts from the middle of the first pixel.
     let to_middle = Matrix3::new_translation(&Vector2::repeat(-0.5));
     let map = to_middle * target_from_source * Matrix3::new_translation(&Vector2::repeat(0.5));
-    let rows: Vec<f64> = map.transpose().iter().copied().collect();
-    let map = Mat::new_rows_cols_with_data::<f64>(3, 3, &rows)?.try_clone()?;
+    let map = mat_from_matrix(&map)?;
     let (flags, black, mut out) = (imgproc::INTER_LINEAR, Scalar::default(), Mat::default());
     imgproc::warp_perspective(&borrowed_rgb(image)?, &mut out, &map, size, flags, BORDER_CONSTANT, black)?;
     rgb_from_mat(&out)

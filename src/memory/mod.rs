@@ -131,9 +131,7 @@ fn look() -> u64 {
 
 /// An amount of memory for people.
 pub fn in_words(bytes: u64) -> String {
-    // Bytes in a mebibyte.
-    const MIB: f64 = 1_048_576.0;
-    let mib = bytes as f64 / MIB;
+    let mib = bytes as f64 / f64::from(1 << 20);
     match mib < 1024.0 {
         true => format!("{mib:.0} MiB"),
         false => format!("{:.1} GiB", mib / 1024.0),

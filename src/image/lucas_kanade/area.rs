@@ -5,6 +5,7 @@ use pulp::Simd;
 
 use super::LANES;
 use super::window::Window;
+use crate::image::mirrored;
 
 /// Pixels from an integer place on. A picture goes on beyond its border as its mirror image.
 #[derive(Default)]
@@ -110,14 +111,6 @@ pub(super) fn load<S: Simd>(simd: S, values: &[f32], start: usize) -> S::f32s {
 pub(super) fn whole_below(value: f32) -> i64 {
     let towards_zero = value as i32;
     i64::from(towards_zero) - i64::from(towards_zero as f32 > value)
-}
-
-/// An index of a row that goes on as its mirror image.
-#[inline(always)]
-fn mirrored(index: i64, len: usize) -> usize {
-    let last = len as i64 - 1;
-    let index = index.abs();
-    (if index > last { 2 * last - index } else { index }).clamp(0, last) as usize
 }
 
 #[cfg(test)]

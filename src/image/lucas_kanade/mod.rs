@@ -148,14 +148,6 @@ impl WithSimd for Work<'_> {
     }
 }
 
-/// Outcome of a point in one of the images.
-enum Outcome {
-    /// To this place.
-    Seen { position: [f32; 2], difference: f32 },
-    /// Nowhere: its window leaves the picture, or shows too little.
-    Lost,
-}
-
 /// Buffers for tracking, used for one point after the other. The first pixel's center is at (0, 0).
 struct Workplace<'a> {
     method: &'a LucasKanade,
@@ -180,19 +172,19 @@ impl Workplace<'_> {
         for level in (0..=num_smaller).rev() {
             let scale = 1.0 / (1u32 << level) as f32;
             let start = [(point.x - 0.5) * scale, (point.y - 0.5) * scale];
-            match self.follow_in(simd, &from[level], &to[level], start, position) {
-                Outcome::Seen { position: [x, y], difference } if level == 0 => {
-                    return Some(TrackedPoint { position: Point2::new(x + 0.5, y + 0.5), difference });
-                }
-                Outcome::Seen { position: [x, y], .. } => position = [2.0 * x, 2.0 * y],
-                // The larger pictures may show what a smaller one does not.
-                Outcome::Lost => position = position.map(|value| 2.0 * value),
+            let seen = self.follow_in(simd, &from[level], &to[level], start, position);
+            if level == 0 {
+                let ([x, y], difference) = seen?;
+                return Some(TrackedPoint { position: Point2::new(x + 0.5, y + 0.5), difference });
             }
+            // The larger pictures may show what a smaller one does not.
+            position = seen.map_or(position, |(position, _)| position).map(|value| 2.0 * value);
         }
         None
     }
 
-    /// In one picture of the pyramid.
+    /// Position and mean difference in one picture of the pyramid; `None` where the window leaves the picture, or shows
+    /// too little.
     #[inline(always)]
     fn follow_in<S: Simd>(
         &mut self,
@@ -201,24 +193,24 @@ impl Workplace<'_> {
         to: &GrayImage,
         start: [f32; 2],
         guess: [f32; 2],
-    ) -> Outcome {
+    ) -> Option<([f32; 2], f32)> {
         let half = self.window.half();
         let first = [start[0] - half[0], start[1] - half[1]];
         if !self.is_near(first, from) {
-            return Outcome::Lost;
+            return None;
         }
         self.template.fill(simd, &mut self.area, from, first, self.window);
-        let Some(inverse) = self.inverse() else { return Outcome::Lost };
+        let inverse = self.inverse()?;
         let mut first = [guess[0] - half[0], guess[1] - half[1]];
         let (mut previous, mut mean) = ([0.0f32; 2], 0.0);
         for step in 0..self.method.max_steps {
             if !self.is_near(first, to) {
-                return Outcome::Lost;
+                return None;
             }
             if step == 0 || self.area.place(first, self.window).is_none() {
                 self.area.cut_around(to, first, self.window, MARGIN);
             }
-            let Some(place) = self.area.place(first, self.window) else { return Outcome::Lost };
+            let place = self.area.place(first, self.window)?;
             let Difference { along_gradient: [x, y], mean: now } =
                 self.template.difference(simd, &self.area, &place, self.window);
             mean = now;
@@ -234,7 +226,7 @@ impl Workplace<'_> {
             }
             previous = delta;
         }
-        Outcome::Seen { position: [first[0] + half[0], first[1] + half[1]], difference: mean }
+        Some(([first[0] + half[0], first[1] + half[1]], mean))
     }
 
     /// Returns true if some of the window may lie in the image.

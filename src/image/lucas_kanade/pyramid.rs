@@ -12,9 +12,6 @@ pub struct Pyramid {
     levels: Vec<GrayImage>,
 }
 
-/// Sides of the smallest picture that is worth having.
-const LEAST_SIDE_PX: u32 = 8;
-
 impl Pyramid {
     /// Of a picture with at most so many smaller ones above it.
     ///
@@ -23,7 +20,8 @@ impl Pyramid {
     pub fn new(picture: GrayImage, num_smaller: usize) -> Result<Self, ImageError> {
         let mut levels = vec![picture];
         while levels.len() <= num_smaller {
-            let Some(last) = levels.last().filter(|last| last.width().min(last.height()) >= 2 * LEAST_SIDE_PX) else {
+            // A picture with a side below 8 pixels shows nothing.
+            let Some(last) = levels.last().filter(|last| last.width().min(last.height()) >= 2 * 8) else {
                 break;
             };
             let mut half = Mat::default();
