@@ -14,13 +14,6 @@ use crate::ffi::environment;
 
 /// The environment variable that names the folder.
 const VARIABLE: &str = "TRACTRIX_MODELS";
-/// File of the detector.
-const DETECTOR: &str = "yolox_nano.onnx";
-/// File of the small mask network.
-const SMALL_MASKS: &str = "box_masks.onnx";
-/// Files of the two parts of the mask network.
-const MASK_ENCODER: &str = "mobile_sam_encoder.onnx";
-const MASK_DECODER: &str = "mobile_sam_decoder.onnx";
 
 /// The networks that come with the program.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -38,10 +31,10 @@ pub struct DefaultModels {
 impl DefaultModels {
     fn of(folder: &Path) -> Self {
         Self {
-            detector: folder.join(DETECTOR),
-            mask_encoder: folder.join(MASK_ENCODER),
-            mask_decoder: folder.join(MASK_DECODER),
-            small_masks: folder.join(SMALL_MASKS),
+            detector: folder.join("yolox_nano.onnx"),
+            mask_encoder: folder.join("mobile_sam_encoder.onnx"),
+            mask_decoder: folder.join("mobile_sam_decoder.onnx"),
+            small_masks: folder.join("box_masks.onnx"),
         }
     }
 
@@ -132,10 +125,9 @@ mod tests {
     fn the_first_folder_with_all_files_serves_and_others_are_told() {
         let folder = tempfile::tempdir().unwrap();
         let (half, whole) = (folder.path().join("half"), folder.path().join("whole"));
-        for (place, files) in [(&half, &[DETECTOR][..]), (&whole, &[DETECTOR, MASK_ENCODER, MASK_DECODER, SMALL_MASKS])]
-        {
+        for (place, num_files) in [(&half, 1), (&whole, 4)] {
             std::fs::create_dir(place).unwrap();
-            files.iter().for_each(|file| std::fs::write(place.join(file), "").unwrap());
+            DefaultModels::of(place).files()[..num_files].iter().for_each(|file| std::fs::write(file, "").unwrap());
         }
         let none = folder.path().join("none");
         let found = first_whole(&[none.clone(), half.clone(), whole.clone()]).unwrap();
@@ -150,7 +142,7 @@ mod tests {
         let described = default_descriptions().unwrap();
         let mut files: Vec<&str> = described.iter().map(|d| d.file.as_str()).collect();
         files.sort_unstable();
-        assert_eq!(files, [SMALL_MASKS, MASK_DECODER, MASK_ENCODER, DETECTOR]);
+        assert_eq!(files, ["box_masks.onnx", "mobile_sam_decoder.onnx", "mobile_sam_encoder.onnx", "yolox_nano.onnx"]);
         assert!(described.iter().all(|d| d.sha256.len() == 64 && !d.changes.is_empty()));
     }
 }

@@ -8,9 +8,6 @@ use super::PerceptionError;
 use crate::ffi::onnx::{Model, TensorInfo};
 use crate::files;
 
-/// The networks known by name.
-const KNOWN: &str = include_str!("../../models/models.toml");
-
 /// The order of an input's three channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
@@ -115,16 +112,18 @@ struct Table {
 
 /// The descriptions compiled in.
 pub(super) fn known() -> Result<Vec<ModelDescription>, PerceptionError> {
-    let table: Table = toml::from_str(KNOWN).map_err(|e| PerceptionError::Description {
-        path: PathBuf::from("models/models.toml"),
-        reason: e.to_string(),
+    let table: Table = toml::from_str(include_str!("../../models/models.toml")).map_err(|e| {
+        PerceptionError::Description { path: PathBuf::from("models/models.toml"), reason: e.to_string() }
     })?;
     Ok(table.model)
 }
 
-/// The description compiled in whose task, inputs and outputs are those of a network.
-pub(super) fn find_known(model: &Model, task: &str) -> Result<Option<ModelDescription>, PerceptionError> {
-    Ok(known()?.into_iter().find(|d| d.task == task && d.fits(model)))
+/// The description next to a network, else the one compiled in whose task, inputs and outputs are those of the network.
+pub(super) fn description_of(model: &Model, task: &str) -> Result<Option<ModelDescription>, PerceptionError> {
+    match read_sidecar(model.path())? {
+        Some(description) => Ok(Some(description)),
+        None => Ok(known()?.into_iter().find(|d| d.task == task && d.fits(model))),
+    }
 }
 
 /// Where the description next to a network is looked for.

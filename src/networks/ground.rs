@@ -11,8 +11,8 @@ use ::image::RgbImage;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::description::{ModelDescription, Preprocessing, find_known, read_sidecar};
-use super::tensor::{Plane, tensor_from_image};
+use super::description::{ModelDescription, Preprocessing, description_of};
+use super::tensor::{Plane, input_size, size_in_steps, tensor_from_image};
 use super::{INPUT_SIZES, PerceptionError};
 use crate::checks::{Checked, some_of, within};
 use crate::ffi::onnx::{Model, Resources, Tensor};
@@ -63,10 +63,7 @@ pub fn load_ground_segmenter(
 ) -> Result<GroundSegmenter, PerceptionError> {
     options.check()?;
     let model = Model::load(path, resources)?;
-    let description = match read_sidecar(path)? {
-        Some(description) => Some(description),
-        None => find_known(&model, "ground")?,
-    };
+    let description = description_of(&model, "ground")?;
     let image_in = model.inputs().len() == 1 && model.inputs()[0].shape.len() == 4;
     match description {
         Some(description) if image_in => GroundSegmenter::new(model, description, options),
@@ -108,26 +105,17 @@ impl GroundSegmenter {
         Ok(Self { model, preprocessing, output_idx, is_ground, input_size: options.input_size })
     }
 
-    /// Width and height of the input for a frame.
-    fn input_size(&self, frame: (u32, u32)) -> (u32, u32) {
-        /// Open sides are multiples of this, the coarsest stride of common encoders.
-        const STRIDE: u32 = 32;
-        let side = |index: usize| self.model.inputs()[0].shape[index].and_then(|s| u32::try_from(s).ok());
-        let (width, height) = crate::image::scale_to_fit(frame.0, frame.1, self.input_size);
-        let open = |length: u32| length.div_ceil(STRIDE) * STRIDE;
-        (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
-    }
-
     /// The pixels of `image` that show ground, at its size.
     ///
     /// # Errors
     /// When the network cannot be run or answers in a shape that its description does not allow.
     pub fn ground_mask(&mut self, image: &RgbImage) -> Result<Mask, PerceptionError> {
         let frame = image.dimensions();
-        if frame.0 == 0 || frame.1 == 0 {
+        if image.is_empty() {
             return Ok(Mask::empty(frame.0, frame.1));
         }
-        let (width, height) = self.input_size(frame);
+        // 32 is the coarsest stride of common encoders.
+        let (width, height) = input_size(&self.model, size_in_steps(frame, self.input_size, 32));
         let input = tensor_from_image(&resize_rgb(image, width, height)?, &self.preprocessing);
         let mut outputs = self.model.run(&[input])?;
         let output = outputs.swap_remove(self.output_idx);

@@ -3,7 +3,27 @@
 use ::image::RgbImage;
 
 use super::description::{ChannelOrder, Preprocessing};
-use crate::ffi::onnx::Tensor;
+use crate::ffi::onnx::{Model, Tensor};
+use crate::image::scale_to_fit;
+
+/// The grey beyond an image, as YOLO networks are trained with.
+pub(super) const PAD: u8 = 114;
+
+/// Width and height of the image that a network takes, the last two sides of its first input; those that it leaves open
+/// are `open`.
+pub(super) fn input_size(model: &Model, open: (u32, u32)) -> (u32, u32) {
+    let sides = &model.inputs()[0].shape;
+    let side = |from_last: usize, open: u32| {
+        sides[sides.len() - from_last].and_then(|side| u32::try_from(side).ok()).unwrap_or(open)
+    };
+    (side(1, open.0), side(2, open.1))
+}
+
+/// The smallest size with sides of whole steps that holds a frame scaled to fit a longer side.
+pub(super) fn size_in_steps(frame: (u32, u32), max_side: u32, step: u32) -> (u32, u32) {
+    let (width, height) = scale_to_fit(frame.0, frame.1, max_side);
+    (width.next_multiple_of(step), height.next_multiple_of(step))
+}
 
 /// Fills a tensor [1, 3, height, width] with the pixels of an image: `(v - mean) / std * scale` per channel.
 pub(super) fn tensor_from_image(image: &RgbImage, preprocessing: &Preprocessing) -> Tensor {

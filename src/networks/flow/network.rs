@@ -7,10 +7,10 @@ use ::image::RgbImage;
 use super::parts::nothing;
 use super::{Field, FlowEstimator, MAX_DIMENSION, at_frame_size, check_sizes, consistent};
 use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
-use crate::image::{resize_rgb, scale_to_fit};
+use crate::image::resize_rgb;
 use crate::networks::PerceptionError;
-use crate::networks::description::{Preprocessing, find_known, read_sidecar};
-use crate::networks::tensor::tensor_from_image;
+use crate::networks::description::{Preprocessing, description_of};
+use crate::networks::tensor::{input_size, size_in_steps, tensor_from_image};
 use crate::scene::{Flow, Rect};
 
 /// RAFT works at an eighth of the input, so open sides are multiples of this.
@@ -52,21 +52,9 @@ impl OnnxFlow {
                 "RAFT-like networks: two images [1, 3, h, w] in, displacements [1, 2, h, w] out",
             ));
         };
-        let description = match read_sidecar(path)? {
-            Some(description) => Some(description),
-            None => find_known(&model, "flow")?,
-        };
         let raft = Preprocessing { mean: [127.5; 3], std: [127.5; 3], scale: 1.0, ..Preprocessing::default() };
-        let preprocessing = description.and_then(|d| d.preprocessing).unwrap_or(raft);
+        let preprocessing = description_of(&model, "flow")?.and_then(|d| d.preprocessing).unwrap_or(raft);
         Ok(Self { model, preprocessing, output_idx })
-    }
-
-    /// Width and height of the input for a frame.
-    fn input_size(&self, frame: (u32, u32)) -> (u32, u32) {
-        let side = |index: usize| self.model.inputs()[0].shape[index].and_then(|s| u32::try_from(s).ok());
-        let (width, height) = scale_to_fit(frame.0, frame.1, MAX_DIMENSION);
-        let open = |length: u32| (length.div_ceil(STRIDE) * STRIDE).max(MIN_SIDE);
-        (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
     }
 
     fn estimate(&mut self, from: &Tensor, to: &Tensor) -> Result<Field, PerceptionError> {
@@ -89,7 +77,8 @@ impl FlowEstimator for OnnxFlow {
         if boxes.is_empty() || from.is_empty() {
             return Ok(nothing((width, height)));
         }
-        let (w, h) = self.input_size((width, height));
+        let open = size_in_steps((width, height), MAX_DIMENSION, STRIDE);
+        let (w, h) = input_size(&self.model, (open.0.max(MIN_SIDE), open.1.max(MIN_SIDE)));
         let from = tensor_from_image(&resize_rgb(from, w, h)?, &self.preprocessing);
         let to = tensor_from_image(&resize_rgb(to, w, h)?, &self.preprocessing);
         let forward = self.estimate(&from, &to)?;

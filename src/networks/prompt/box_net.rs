@@ -9,14 +9,14 @@ use std::path::Path;
 use ::image::{Rgb, RgbImage};
 
 use super::local::Local;
-use super::options::{FILL, MASK_MARGIN, PromptOptions};
+use super::options::{CONFIRMED_OVERLAP, MASK_MARGIN, PromptOptions};
 use super::outline::one_part;
 use super::window::Window;
-use super::{BoxMask, BoxSegmenter, agreement, visible};
+use super::{BoxMask, BoxSegmenter, agreement, fills, visible};
 use crate::ffi::onnx::{Model, Resources, Tensor};
 use crate::image::resize_rgb;
 use crate::networks::PerceptionError;
-use crate::networks::tensor::Plane;
+use crate::networks::tensor::{PAD, Plane};
 use crate::scene::{Mask, Rect};
 
 /// Side of the input and of the logits, pixels.
@@ -25,13 +25,9 @@ const SIDE: usize = 128;
 const MARGIN: f64 = 1.5;
 /// A side of the box counts for at least the other one over this.
 const MAX_STRETCH: f64 = 2.0;
-/// Color beyond the border of the frame.
-const PAD: u8 = 114;
 /// Pixels become (v − `MEAN`) / `SCALE`.
 const MEAN: f32 = 128.0;
 const SCALE: f32 = 64.0;
-/// Overlap of two answers that mean the same object.
-const CONFIRMED_OVERLAP: f64 = 0.8;
 
 /// Loads the network. `resources` is what it may take, or a number of threads; 0 is one per core.
 ///
@@ -82,7 +78,7 @@ impl BoxNet {
         let Some(first) = self.answer(image, rect)? else { return Ok(None) };
         let (fits, min_quality) = (agreement(&first.rect, rect), self.options.min_quality);
         if first.quality * fits >= min_quality {
-            return Ok(self.fills(&first, rect).then(|| first.judged(fits, frame)));
+            return Ok(fills(&first.local.mask, rect).then(|| first.judged(fits, frame)));
         }
         if first.quality < min_quality {
             return Ok(None);
@@ -91,7 +87,7 @@ impl BoxNet {
         let Some(second) = self.answer(image, &tight)? else { return Ok(None) };
         let fits = agreement(&second.rect, &tight) * fits.sqrt();
         let first = first.judged(1.0, frame).mask;
-        let passes = self.fills(&second, &tight) && second.quality * fits >= min_quality;
+        let passes = fills(&second.local.mask, &tight) && second.quality * fits >= min_quality;
         let found = second.judged(fits, frame);
         Ok(Some(found).filter(|found| passes && found.mask.iou(&first) >= CONFIRMED_OVERLAP))
     }
@@ -107,23 +103,15 @@ impl BoxNet {
             (Some(logits), Some(quality)) if logits.shape == [1, 1, SIDE, SIDE] && quality.values.len() == 1 => {
                 (logits.values, f64::from(quality.values[0]))
             }
-            (found, _) => return Err(self.wrong_output(found)),
+            (found, _) => {
+                let expected = "logits [1, 1, 128, 128] and one quality";
+                return Err(PerceptionError::output(&self.model, found.map(|tensor| tensor.shape), expected));
+            }
         };
         let mask = one_part(&crop.marked(&logits, window));
         let local = Local { window, mask };
         let quality = if quality.is_finite() { quality.clamp(0.0, 1.0) } else { 0.0 };
         Ok(local.rect().map(|rect| Answer { local, rect, quality }))
-    }
-
-    /// Returns true if a mask fills neither too little nor too much of its box.
-    fn fills(&self, answer: &Answer, rect: &Rect) -> bool {
-        let fill = answer.local.mask.area_px2() as f64 / rect.area_px2();
-        FILL.contains(&fill)
-    }
-
-    fn wrong_output(&self, found: Option<Tensor>) -> PerceptionError {
-        let expected = "logits [1, 1, 128, 128] and one quality";
-        PerceptionError::output(&self.model, found.map(|tensor| tensor.shape), expected)
     }
 }
 

@@ -9,10 +9,9 @@ use ::image::{GrayImage, Luma, RgbImage};
 use opencv::core::{self, Mat};
 use opencv::imgproc;
 
-use super::options::FILL;
 use super::outline::one_part;
 use super::window::Window;
-use super::{BoxMask, BoxSegmenter, PromptOptions, agreement, visible};
+use super::{BoxMask, BoxSegmenter, PromptOptions, agreement, fills, visible};
 use crate::image::{gray_from_mat, mat_from_gray, mat_from_rgb, resize_rgb};
 use crate::networks::PerceptionError;
 use crate::scene::{Mask, Rect};
@@ -23,10 +22,6 @@ const SURROUNDINGS: f64 = 0.25;
 const WORKING_SIDE: u32 = 160;
 /// Axes of the ellipse that is the object for certain, as a share of the box's sides.
 const CORE: f64 = 0.7;
-/// Rounds of fitting colours and cutting.
-const ROUNDS: i32 = 3;
-/// OpenCV's generator, which begins the mixtures, starts from here for every box.
-const SEED: i32 = 1;
 /// Boxes with a shorter side below this have too few pixels for two mixtures of five Gaussians.
 const MIN_SIDE_PX: f64 = 4.0;
 /// Expected overlap with the truth where the mask's own box is the box prompt; 0.80 in rendered sequences with boxes
@@ -61,9 +56,8 @@ impl GrabCut {
 
     /// A mask with its quality, if it passes the gates.
     fn judged(&self, mask: Mask, rect: &Rect) -> Option<BoxMask> {
-        let fill = mask.area_px2() as f64 / rect.area_px2();
         let quality = TRUST * agreement(&mask.bounding_box()?.into(), rect);
-        let passes = FILL.contains(&fill) && quality >= TRUST * self.options.min_quality;
+        let passes = fills(&mask, rect) && quality >= TRUST * self.options.min_quality;
         passes.then_some(BoxMask { mask, quality })
     }
 }
@@ -94,10 +88,12 @@ fn cut(image: &RgbImage, window: Window, rect: &Rect) -> Result<Mask, Perception
         return Ok(Mask::empty(window.width, window.height));
     };
     let (mut background, mut object) = (Mat::default(), Mat::default());
-    core::set_rng_seed(SEED)?;
+    // OpenCV's generator, which begins the mixtures, starts from the same number for every box.
+    core::set_rng_seed(1)?;
     let rect = core::Rect::default();
     let mode = imgproc::GC_INIT_WITH_MASK;
-    imgproc::grab_cut(&pixels, &mut labels, rect, &mut background, &mut object, ROUNDS, mode)?;
+    let num_rounds = 3;
+    imgproc::grab_cut(&pixels, &mut labels, rect, &mut background, &mut object, num_rounds, mode)?;
     let labels = gray_from_mat(&labels)?;
     let object = Mask::from_fn(width, height, |x, y| {
         let label = i32::from(labels.get_pixel(x, y).0[0]);

@@ -20,10 +20,10 @@ use std::path::Path;
 use ::image::RgbImage;
 
 use super::local::Local;
-use super::options::{FILL, MASK_MARGIN, PromptOptions};
+use super::options::{CONFIRMED_OVERLAP, MASK_MARGIN, PromptOptions};
 use super::outline::one_part;
 use super::window::{Placement, Share, Window, shares};
-use super::{BoxMask, BoxSegmenter, agreement, visible};
+use super::{BoxMask, BoxSegmenter, agreement, fills, visible};
 use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::networks::PerceptionError;
 use crate::networks::description::Preprocessing;
@@ -38,10 +38,6 @@ const STABILITY_OFFSET: f32 = 1.0;
 const LOOSE_QUALITY: f64 = 0.5;
 /// Of what the network marks round the box, at least this much lies within its margin.
 const MIN_INSIDE: f64 = 0.8;
-/// Overlap of two answers that mean the same object.
-const CONFIRMED_OVERLAP: f64 = 0.8;
-/// Labels of a box's two corners.
-const CORNERS: [f32; 2] = [2.0, 3.0];
 
 /// Loads the two parts of the network. `resources` is what each may take, or a number of threads; 0 is one per core.
 ///
@@ -158,7 +154,8 @@ impl MobileSam {
         let corners = [[rect.x0, rect.y0], [rect.x1, rect.y1]];
         let values = corners.map(|[x, y]| placement.input_from_frame(x, y).map(|v| (v - 0.5) as f32)).concat();
         let points = Tensor { shape: vec![1, 2, 2], values };
-        let labels = Tensor { shape: vec![1, 2], values: CORNERS.to_vec() };
+        // Those of a box's first corner and its second.
+        let labels = Tensor { shape: vec![1, 2], values: vec![2.0, 3.0] };
         let mut outputs = self.decoder.run(&[embedding.clone(), points, labels])?.into_iter();
         let (Some(masks), Some(scores)) = (outputs.next(), outputs.next()) else {
             return Err(wrong_output(&self.decoder, None, "masks and scores"));
@@ -259,10 +256,9 @@ fn offer(
     let marked = marked(plane, placement, window);
     let marked_px2 = marked.area_px2() as f64;
     let local = Local { window, mask: one_part(&marked) };
-    let fill = local.mask.area_px2() as f64 / rect.area_px2();
     let quality = quality * agreement(&local.rect()?, rect);
     let passes = marked_px2 >= MIN_INSIDE * everywhere_px2(plane, placement)
-        && FILL.contains(&fill)
+        && fills(&local.mask, rect)
         && quality >= options.min_quality;
     passes.then_some(Offer { mask: local, quality })
 }

@@ -15,6 +15,7 @@ pub use self::box_net::load_small_box_segmenter;
 pub use self::grabcut::GrabCut;
 pub use self::known::KnownMasks;
 pub use self::mobile_sam::load_box_segmenter;
+use self::options::FILL;
 pub use self::options::PromptOptions;
 use super::PerceptionError;
 use crate::scene::{Mask, Rect};
@@ -47,6 +48,11 @@ const AGREEMENT: f64 = 0.75;
 /// Agreement of the box round a mask with the box prompt, 0 to 1.
 fn agreement(found: &Rect, asked: &Rect) -> f64 {
     (found.iou(asked) / AGREEMENT).min(1.0)
+}
+
+/// Returns true if a mask fills neither too little nor too much of its box.
+fn fills(mask: &Mask, rect: &Rect) -> bool {
+    FILL.contains(&(mask.area_px2() as f64 / rect.area_px2()))
 }
 
 /// The part of a box that lies in a frame; of no area for one that is not finite.

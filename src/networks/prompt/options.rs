@@ -12,6 +12,8 @@ pub(super) const CELL: u32 = 16;
 
 /// A mask reaches beyond its box by at most this much of the box's longer side.
 pub(super) const MASK_MARGIN: f64 = 0.15;
+/// Overlap of two answers that mean the same object.
+pub(super) const CONFIRMED_OVERLAP: f64 = 0.8;
 /// Share of its box that a mask covers, margin included: what fills it altogether is a piece of road or wall.
 pub(super) const FILL: RangeInclusive<f64> = 0.2..=1.2;
 

@@ -1,92 +1,21 @@
 //! Names of a network's classes.
 
+use super::suppression::Candidate;
 use crate::ffi::onnx::Model;
 use crate::networks::PerceptionError;
 use crate::networks::description::{read_sidecar, sidecar_path};
+use crate::scene::{Detection, Mask};
 
-/// The 80 classes of COCO in the order in which YOLO networks number them.
-const COCO: [&str; 80] = [
-    "person",
-    "bicycle",
-    "car",
-    "motorcycle",
-    "airplane",
-    "bus",
-    "train",
-    "truck",
-    "boat",
-    "traffic light",
-    "fire hydrant",
-    "stop sign",
-    "parking meter",
-    "bench",
-    "bird",
-    "cat",
-    "dog",
-    "horse",
-    "sheep",
-    "cow",
-    "elephant",
-    "bear",
-    "zebra",
-    "giraffe",
-    "backpack",
-    "umbrella",
-    "handbag",
-    "tie",
-    "suitcase",
-    "frisbee",
-    "skis",
-    "snowboard",
-    "sports ball",
-    "kite",
-    "baseball bat",
-    "baseball glove",
-    "skateboard",
-    "surfboard",
-    "tennis racket",
-    "bottle",
-    "wine glass",
-    "cup",
-    "fork",
-    "knife",
-    "spoon",
-    "bowl",
-    "banana",
-    "apple",
-    "sandwich",
-    "orange",
-    "broccoli",
-    "carrot",
-    "hot dog",
-    "pizza",
-    "donut",
-    "cake",
-    "chair",
-    "couch",
-    "potted plant",
-    "bed",
-    "dining table",
-    "toilet",
-    "tv",
-    "laptop",
-    "mouse",
-    "remote",
-    "keyboard",
-    "cell phone",
-    "microwave",
-    "oven",
-    "toaster",
-    "sink",
-    "refrigerator",
-    "book",
-    "clock",
-    "vase",
-    "scissors",
-    "teddy bear",
-    "hair drier",
-    "toothbrush",
-];
+/// The [`NUM_COCO`] classes of COCO in the order in which YOLO networks number them.
+const COCO: &str = "person, bicycle, car, motorcycle, airplane, bus, train, truck, boat, traffic light, fire hydrant, stop sign, \
+     parking meter, bench, bird, cat, dog, horse, sheep, cow, elephant, bear, zebra, giraffe, backpack, umbrella, \
+     handbag, tie, suitcase, frisbee, skis, snowboard, sports ball, kite, baseball bat, baseball glove, skateboard, \
+     surfboard, tennis racket, bottle, wine glass, cup, fork, knife, spoon, bowl, banana, apple, sandwich, orange, \
+     broccoli, carrot, hot dog, pizza, donut, cake, chair, couch, potted plant, bed, dining table, toilet, tv, \
+     laptop, mouse, remote, keyboard, cell phone, microwave, oven, toaster, sink, refrigerator, book, clock, vase, \
+     scissors, teddy bear, hair drier, toothbrush";
+
+const NUM_COCO: usize = 80;
 
 /// Numbers that COCO's own annotations leave out; torchvision counts by these.
 const NOT_IN_COCO: [usize; 10] = [12, 26, 29, 30, 45, 66, 68, 69, 71, 83];
@@ -108,19 +37,26 @@ impl Classes {
         let path = model.path().to_path_buf();
         Err(PerceptionError::NoWantedClass { path, wanted: wanted.to_vec(), found: names })
     }
+
+    /// Objects under the names of their classes.
+    pub(super) fn detections<M>(&self, found: Vec<(Candidate<M>, Mask)>) -> Vec<Detection> {
+        let detection = |(candidate, mask): (Candidate<M>, Mask)| {
+            let class = self.names[candidate.class_idx].clone();
+            Detection { class, confidence: f64::from(candidate.confidence), mask }
+        };
+        found.into_iter().map(detection).collect()
+    }
 }
 
 /// The names of a network whose file does not say how many there are, number 0 being the background: from the file
 /// next to it, else from its metadata, else COCO's as torchvision numbers them.
 pub(super) fn class_names_after_background(model: &Model) -> Result<Vec<String>, PerceptionError> {
-    let beside = read_sidecar(model.path())?.map(|d| d.classes).filter(|names| !names.is_empty());
-    let inside = || model.metadata("names").and_then(|text| parse_names(&text)).filter(|names| !names.is_empty());
-    Ok(beside.or_else(inside).unwrap_or_else(coco_after_background))
+    Ok(stated_names(model, |names| !names.is_empty())?.unwrap_or_else(coco_after_background))
 }
 
 fn coco_after_background() -> Vec<String> {
     let mut names = vec!["background".to_owned()];
-    for name in COCO {
+    for name in COCO.split(", ") {
         while NOT_IN_COCO.contains(&names.len()) {
             names.push("N/A".to_owned());
         }
@@ -135,15 +71,19 @@ fn coco_after_background() -> Vec<String> {
 /// # Errors
 /// [`PerceptionError::NoClassNames`] if none of these gives as many names as there are classes.
 pub(super) fn class_names(model: &Model, num_classes: usize) -> Result<Vec<String>, PerceptionError> {
-    let beside = read_sidecar(model.path())?.map(|d| d.classes).filter(|names| names.len() == num_classes);
-    let inside =
-        || model.metadata("names").and_then(|text| parse_names(&text)).filter(|names| names.len() == num_classes);
-    let coco = || (num_classes == COCO.len()).then(|| COCO.map(str::to_owned).to_vec());
-    beside.or_else(inside).or_else(coco).ok_or_else(|| PerceptionError::NoClassNames {
+    let stated = stated_names(model, |names| names.len() == num_classes)?;
+    let coco = || (num_classes == NUM_COCO).then(|| COCO.split(", ").map(str::to_owned).collect());
+    stated.or_else(coco).ok_or_else(|| PerceptionError::NoClassNames {
         path: model.path().to_path_buf(),
         num_classes,
         sidecar: sidecar_path(model.path()),
     })
+}
+
+/// The names that the file next to a network gives, else those of its metadata; each only if they fit.
+fn stated_names(model: &Model, fit: impl Fn(&Vec<String>) -> bool) -> Result<Option<Vec<String>>, PerceptionError> {
+    let beside = read_sidecar(model.path())?.map(|description| description.classes).filter(&fit);
+    Ok(beside.or_else(|| parse_names(&model.metadata("names")?).filter(&fit)))
 }
 
 /// Reads names as exporters write them: `{0: 'person', 1: "driver's seat"}` or `['person', 'car']`.
@@ -216,7 +156,9 @@ mod tests {
 
     #[test]
     fn coco_has_its_vehicles_where_they_belong() {
-        assert_eq!([COCO[2], COCO[3], COCO[5], COCO[7]], ["car", "motorcycle", "bus", "truck"]);
+        let names: Vec<&str> = COCO.split(", ").collect();
+        assert_eq!(names.len(), NUM_COCO);
+        assert_eq!([2, 3, 5, 7].map(|k: usize| names[k]), ["car", "motorcycle", "bus", "truck"]);
         let counted = coco_after_background();
         assert_eq!(counted.len(), 91);
         assert_eq!(

@@ -7,9 +7,6 @@ use super::movable;
 use crate::checks::{Checked, some_of, within};
 use crate::networks::INPUT_SIZES;
 
-/// At most so many looks at one frame.
-const MAX_SCALES: usize = 8;
-
 /// Options of the detector.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
@@ -49,7 +46,7 @@ impl DetectorOptions {
         some_of("classes", &self.classes)?;
         within("input_size", self.input_size, INPUT_SIZES)?;
         some_of("scales", &self.scales)?;
-        within("scales", self.scales.len(), 1..=MAX_SCALES)?;
+        within("scales", self.scales.len(), 1..=8)?;
         self.scales.iter().try_for_each(|&scale| within("scales", scale, 0.1..=1.0))
     }
 }

@@ -6,9 +6,7 @@ use ::image::RgbImage;
 
 use super::tiles::Tile;
 use crate::image::{ImageError, resize_rgb_quickly};
-
-/// The grey that fills what the view leaves free, as YOLO networks are trained with.
-const PAD: u8 = 114;
+use crate::networks::tensor::PAD;
 
 /// Where the view is put in an input that it does not fill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

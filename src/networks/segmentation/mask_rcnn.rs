@@ -13,13 +13,13 @@ use ::image::RgbImage;
 
 use super::classes::{Classes, class_names_after_background};
 use super::letterbox::Letterbox;
-use super::suppression::{Candidate, suppress};
-use super::tiles::{mask_in, views};
-use super::{MAX_OBJECTS, SegmentationOptions, Segmenter};
+use super::suppression::Candidate;
+use super::tiles::mask_in;
+use super::{SegmentationOptions, Segmenter, segment_views};
 use crate::ffi::onnx::{Model, Tensor, TensorInfo};
 use crate::networks::PerceptionError;
 use crate::networks::description::{Preprocessing, sidecar_path};
-use crate::networks::tensor::{Plane, tensor_from_image};
+use crate::networks::tensor::{Plane, input_size, tensor_from_image};
 use crate::scene::{Detection, Mask};
 
 /// A pasted mask ends within this share of its box's sides next to the box (one cell of 28), and one pixel.
@@ -90,16 +90,7 @@ impl MaskRcnn {
         Ok(Self { model, options: options.clone(), places, classes })
     }
 
-    /// Width and height of the input for a frame: the network's own, or the frame's where it leaves them open.
-    fn input_size(&self, frame: (u32, u32)) -> (u32, u32) {
-        let sides = &self.model.inputs()[0].shape;
-        let side = |from_last: usize, open: u32| {
-            sides[sides.len() - from_last].and_then(|s| u32::try_from(s).ok()).unwrap_or(open)
-        };
-        (side(1, frame.0), side(2, frame.1))
-    }
-
-    /// Runs the network on one view.
+    /// Runs the network on one view. Sides of the input that it leaves open are the frame's.
     fn look(&mut self, pixels: &RgbImage) -> Result<CheckedOutputs, PerceptionError> {
         let mut input = tensor_from_image(pixels, &Preprocessing::default());
         if self.model.inputs()[0].shape.len() == 3 {
@@ -114,28 +105,17 @@ impl MaskRcnn {
 
 impl Segmenter for MaskRcnn {
     fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError> {
-        let frame = image.dimensions();
-        if frame.0 == 0 || frame.1 == 0 {
-            return Ok(Vec::new());
-        }
-        let input = self.input_size(frame);
-        let (mut candidates, mut seen) = (Vec::new(), Vec::new());
-        for (view_idx, view) in views(frame, input, &self.options).into_iter().enumerate() {
-            let (boxed, pixels) = Letterbox::place(image, view, input)?;
-            let answer = self.look(&pixels)?;
-            let found = answer.candidates(&self.classes.wanted, self.options.confidence as f32);
-            candidates.extend(found.into_iter().map(|c| c.in_frame(&boxed, view, view_idx, frame)));
-            seen.push((boxed, answer));
-        }
-        let mut kept = suppress(candidates, self.options.nms_iou as f32);
-        kept.truncate(MAX_OBJECTS);
-        let detection = |candidate: Candidate<usize>| {
-            let (boxed, answer) = &seen[candidate.view_idx];
-            let class = self.classes.names[candidate.class_idx].clone();
-            let mask = answer.mask(candidate.mask, boxed, frame);
-            Detection { class, confidence: f64::from(candidate.confidence), mask }
+        let (frame, options) = (image.dimensions(), self.options.clone());
+        let input = input_size(&self.model, frame);
+        let look = |pixels: &RgbImage| {
+            let answer = self.look(pixels)?;
+            Ok((answer.candidates(&self.classes.wanted, options.confidence as f32), answer))
         };
-        Ok(kept.into_iter().map(detection).filter(|d| d.mask.area_px2() > 0).collect())
+        let mask = |candidate: &Candidate<usize>, boxed: &_, answer: &CheckedOutputs| {
+            answer.mask(candidate.mask, boxed, frame)
+        };
+        let found = segment_views(image, input, &options, look, mask)?;
+        Ok(self.classes.detections(found))
     }
 }
 

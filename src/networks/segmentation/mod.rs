@@ -1,7 +1,6 @@
 //! Instance segmentation: the objects of one frame, each with its own mask.
 
 mod classes;
-mod detection;
 mod detector_options;
 mod letterbox;
 mod mask_rcnn;
@@ -16,15 +15,17 @@ use ::image::RgbImage;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use self::detection::load_detector;
 pub use self::detector_options::DetectorOptions;
+use self::letterbox::Letterbox;
 use self::mask_rcnn::MaskRcnn;
+use self::suppression::{Candidate, suppress};
+use self::tiles::views;
 use self::yolo::YoloSeg;
-pub use self::yolox::Yolox;
+pub use self::yolox::{Yolox, load_detector};
 use super::{INPUT_SIZES, PerceptionError};
 use crate::checks::{Checked, some_of, within};
 use crate::ffi::onnx::{Model, Resources};
-use crate::scene::Detection;
+use crate::scene::{Detection, Mask};
 
 /// At most this many objects per frame, the best ones: a bound on memory for networks that fire everywhere.
 const MAX_OBJECTS: usize = 300;
@@ -73,38 +74,11 @@ pub struct SegmentationOptions {
     pub input_size: u32,
 }
 
-/// Classes that move by themselves, in the words of COCO, Cityscapes and the common drone data sets.
-const MOVABLE: [&str; 25] = [
-    "car",
-    "truck",
-    "bus",
-    "van",
-    "motorcycle",
-    "motor",
-    "motorbike",
-    "bicycle",
-    "person",
-    "pedestrian",
-    "people",
-    "rider",
-    "train",
-    "tram",
-    "tricycle",
-    "awning-tricycle",
-    "trailer",
-    "caravan",
-    "vehicle",
-    "boat",
-    "airplane",
-    "dog",
-    "horse",
-    "cow",
-    "sheep",
-];
-
-/// Names of everything that moves by itself.
+/// Names of everything that moves by itself, in the words of COCO, Cityscapes and the common drone data sets.
 fn movable() -> Vec<String> {
-    MOVABLE.map(str::to_owned).to_vec()
+    let names = "car truck bus van motorcycle motor motorbike bicycle person pedestrian people rider train tram \
+                 tricycle awning-tricycle trailer caravan vehicle boat airplane dog horse cow sheep";
+    names.split(' ').map(str::to_owned).collect()
 }
 
 impl Default for SegmentationOptions {
@@ -132,6 +106,40 @@ impl SegmentationOptions {
         within("tile_overlap", self.tile_overlap, 0.0..=0.8)?;
         within("input_size", self.input_size, INPUT_SIZES)
     }
+}
+
+/// The objects that a network finds in all views of a frame, each with its mask; highest confidence first.
+///
+/// * `input` – width and height of the network's input.
+/// * `look` – runs the network on the pixels of a view; returns candidates with their corners in pixels of the input,
+///   and what their masks are made of.
+/// * `mask` – makes the mask of a candidate in the frame.
+fn segment_views<M, A>(
+    image: &RgbImage,
+    input: (u32, u32),
+    options: &SegmentationOptions,
+    mut look: impl FnMut(&RgbImage) -> Result<(Vec<Candidate<M>>, A), PerceptionError>,
+    mask: impl Fn(&Candidate<M>, &Letterbox, &A) -> Mask,
+) -> Result<Vec<(Candidate<M>, Mask)>, PerceptionError> {
+    if image.is_empty() {
+        return Ok(Vec::new());
+    }
+    let frame = image.dimensions();
+    let (mut candidates, mut seen) = (Vec::new(), Vec::new());
+    for (view_idx, view) in views(frame, input, options).into_iter().enumerate() {
+        let (boxed, pixels) = Letterbox::place(image, view, input)?;
+        let (found, answer) = look(&pixels)?;
+        candidates.extend(found.into_iter().map(|c| c.in_frame(&boxed, view, view_idx, frame)));
+        seen.push((boxed, answer));
+    }
+    let mut kept = suppress(candidates, options.nms_iou as f32);
+    kept.truncate(MAX_OBJECTS);
+    let with_mask = |candidate: Candidate<M>| {
+        let (boxed, answer) = &seen[candidate.view_idx];
+        let mask = mask(&candidate, boxed, answer);
+        (mask.area_px2() > 0).then_some((candidate, mask))
+    };
+    Ok(kept.into_iter().filter_map(with_mask).collect())
 }
 
 /// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `resources` is what

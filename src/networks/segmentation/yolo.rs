@@ -9,17 +9,14 @@ use ::image::RgbImage;
 
 use super::classes::{Classes, class_names};
 use super::letterbox::Letterbox;
-use super::suppression::{Candidate, suppress};
-use super::tiles::{mask_in, views};
-use super::{MAX_OBJECTS, SegmentationOptions, Segmenter};
+use super::suppression::Candidate;
+use super::tiles::mask_in;
+use super::{SegmentationOptions, Segmenter, segment_views};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::networks::PerceptionError;
 use crate::networks::description::Preprocessing;
-use crate::networks::tensor::{Plane, tensor_from_image};
+use crate::networks::tensor::{Plane, input_size, size_in_steps, tensor_from_image};
 use crate::scene::{Detection, Mask};
-
-/// Sides of an input that the network leaves open are multiples of this (its coarsest stride).
-const STRIDE: u32 = 32;
 
 /// Returns true if a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> bool {
@@ -61,15 +58,6 @@ impl YoloSeg {
         Classes::new(&self.model, class_names(&self.model, num_classes)?, &self.options.classes)
     }
 
-    /// Width and height of the input for a frame: the network's own, or the smallest that holds the frame scaled to the
-    /// size asked for.
-    fn input_size(&self, frame: (u32, u32)) -> (u32, u32) {
-        let side = |index: usize| self.model.inputs()[0].shape[index].and_then(|s| u32::try_from(s).ok());
-        let (width, height) = crate::image::scale_to_fit(frame.0, frame.1, self.options.input_size);
-        let open = |length: u32| length.div_ceil(STRIDE) * STRIDE;
-        (side(3).unwrap_or_else(|| open(width)), side(2).unwrap_or_else(|| open(height)))
-    }
-
     /// Runs the network on one view; gives the raw outputs in the family's order.
     fn look(&mut self, input: &RgbImage) -> Result<Raw, PerceptionError> {
         let input = tensor_from_image(input, &Preprocessing::default());
@@ -86,35 +74,17 @@ impl YoloSeg {
 
 impl Segmenter for YoloSeg {
     fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError> {
-        let frame = image.dimensions();
-        if frame.0 == 0 || frame.1 == 0 {
-            return Ok(Vec::new());
-        }
-        let input = self.input_size(frame);
-        let mut candidates = Vec::new();
-        let mut seen = Vec::new();
-        for (view_idx, view) in views(frame, input, &self.options).into_iter().enumerate() {
-            let (boxed, pixels) = Letterbox::place(image, view, input)?;
-            let raw = self.look(&pixels)?;
-            if let Some(classes) = &self.classes {
-                let found = raw.candidates(&classes.wanted, self.options.confidence as f32);
-                candidates.extend(found.into_iter().map(|c| c.in_frame(&boxed, view, view_idx, frame)));
-            }
-            seen.push((boxed, raw.prototypes));
-        }
-        let mut kept = suppress(candidates, self.options.nms_iou as f32);
-        kept.truncate(MAX_OBJECTS);
-        let Some(classes) = &self.classes else { return Ok(Vec::new()) };
-        let mut detections = Vec::with_capacity(kept.len());
-        for candidate in kept {
-            let (boxed, prototypes) = &seen[candidate.view_idx];
-            let mask = mask_of(&candidate, boxed, input, prototypes, frame);
-            if mask.area_px2() > 0 {
-                let class = classes.names[candidate.class_idx].clone();
-                detections.push(Detection { class, confidence: f64::from(candidate.confidence), mask });
-            }
-        }
-        Ok(detections)
+        let (frame, options) = (image.dimensions(), self.options.clone());
+        // 32 is the family's coarsest stride.
+        let input = input_size(&self.model, size_in_steps(frame, options.input_size, 32));
+        let look = |pixels: &RgbImage| {
+            let raw = self.look(pixels)?;
+            let found = |classes: &Classes| raw.candidates(&classes.wanted, options.confidence as f32);
+            Ok((self.classes.as_ref().map(found).unwrap_or_default(), raw.prototypes))
+        };
+        let mask = |candidate: &_, boxed: &_, prototypes: &_| mask_of(candidate, boxed, input, prototypes, frame);
+        let found = segment_views(image, input, &options, look, mask)?;
+        Ok(self.classes.as_ref().map(|classes| classes.detections(found)).unwrap_or_default())
     }
 }
 

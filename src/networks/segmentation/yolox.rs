@@ -6,29 +6,54 @@
 //! centre at (s (i + x), s (j + y)), of the size s eʷ × s eʰ, of class c with the score o · p_c.
 
 use std::borrow::Cow;
+use std::path::Path;
 
 use ::image::RgbImage;
 
-use super::classes::class_names;
+use super::classes::{Classes, class_names};
 use super::letterbox::{Anchor, Letterbox, fitted};
 use super::tiles::Tile;
 use super::{DetectorOptions, MAX_OBJECTS};
-use crate::ffi::onnx::{Model, Tensor};
+use crate::ffi::onnx::{Model, Resources, Tensor};
 use crate::image::resize_rgb_quickly;
 use crate::networks::PerceptionError;
 use crate::networks::description::{ChannelOrder, Preprocessing};
-use crate::networks::tensor::tensor_from_image;
+use crate::networks::tensor::{input_size, tensor_from_image};
 use crate::scene::{BoxDetection, DetectionSource, Rect};
 
-/// Sides of a cell in pixels of the input, in the order of the output's rows.
+/// Sides of a cell in pixels of the input, in the order of the output's rows. Sides of an input that the network leaves
+/// open are multiples of the largest.
 const STRIDES: [usize; 3] = [8, 16, 32];
-/// Sides of an input that the network leaves open are multiples of this.
-const SIDE_STEP: u32 = 32;
 /// Columns of the output before those of the classes.
 const NUM_BOX_COLUMNS: usize = 5;
 
+/// Loads a network that finds boxes; its family is recognised from its inputs and outputs. `resources` is what it may
+/// take, or a number of threads; 0 is one per core.
+///
+/// # Errors
+/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] lists what was found
+/// and what is supported; [`PerceptionError::NoClassNames`] and [`PerceptionError::NoWantedClass`] say what is wrong
+/// with its classes; errors of the runtime say how to get it.
+pub fn load_detector(
+    path: &Path,
+    options: &DetectorOptions,
+    resources: impl Into<Resources>,
+) -> Result<Yolox, PerceptionError> {
+    options.check()?;
+    let model = Model::load(path, resources)?;
+    if recognise(&model) {
+        return Yolox::new(model, options);
+    }
+    Err(PerceptionError::unknown_layout(
+        &model,
+        "detection",
+        "the YOLOX family: one image [1, 3, h, w] in; [1, n, 5 + classes] out, one row per cell of the \
+                    strides 8, 16 and 32, not decoded",
+    ))
+}
+
 /// Returns true if a network's inputs and outputs are those of the family.
-pub(super) fn recognise(model: &Model) -> bool {
+fn recognise(model: &Model) -> bool {
     let ([input], [output]) = (model.inputs(), model.outputs()) else { return false };
     let image = input.shape.len() == 4 && input.shape[1].is_none_or(|channels| channels == 3);
     let [_, rows, Some(columns)] = output.shape[..] else { return false };
@@ -59,27 +84,22 @@ pub struct Yolox {
 
 impl Yolox {
     /// Takes a network that [`recognise`] accepted.
-    pub(super) fn new(model: Model, options: &DetectorOptions) -> Result<Self, PerceptionError> {
+    fn new(model: Model, options: &DetectorOptions) -> Result<Self, PerceptionError> {
         let columns = model.outputs()[0].shape[2].unwrap_or(0);
         let names = class_names(&model, columns.saturating_sub(NUM_BOX_COLUMNS))?;
-        if !names.iter().any(|name| options.classes.contains(name)) {
-            let path = model.path().to_path_buf();
-            return Err(PerceptionError::NoWantedClass { path, wanted: options.classes.clone(), found: names });
-        }
-        let wanted = names.into_iter().map(|name| options.classes.contains(&name).then_some(name)).collect();
+        let Classes { names, wanted } = Classes::new(&model, names, &options.classes)?;
+        let wanted = names.into_iter().zip(wanted).map(|(name, wanted)| wanted.then_some(name)).collect();
         Ok(Self { model, options: options.clone(), wanted })
     }
 
     /// Widths and heights of the inputs for a frame: the network's own, or for each scale the smallest that holds the
     /// frame scaled to the size asked for.
     fn input_sizes(&self, frame: (u32, u32)) -> Vec<(u32, u32)> {
-        let side = |index: usize| self.model.inputs()[0].shape[index].and_then(|s| u32::try_from(s).ok());
-        let open = |length: u32, scale: f64| {
-            let ratio = scale * f64::from(self.options.input_size) / f64::from(frame.0.max(frame.1).max(1));
-            ((f64::from(length) * ratio).round() as u32).max(1).div_ceil(SIDE_STEP) * SIDE_STEP
-        };
         let size = |&scale: &f64| {
-            (side(3).unwrap_or_else(|| open(frame.0, scale)), side(2).unwrap_or_else(|| open(frame.1, scale)))
+            let ratio = scale * f64::from(self.options.input_size) / f64::from(frame.0.max(frame.1).max(1));
+            let open =
+                |length: u32| ((f64::from(length) * ratio).round() as u32).max(1).next_multiple_of(STRIDES[2] as u32);
+            input_size(&self.model, (open(frame.0), open(frame.1)))
         };
         let mut sizes: Vec<(u32, u32)> = self.options.scales.iter().map(size).collect();
         sizes.sort_unstable();
@@ -137,7 +157,7 @@ impl Yolox {
     /// When the network cannot be run or answers in a shape that its family does not allow.
     pub fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError> {
         let frame = image.dimensions();
-        if frame.0 == 0 || frame.1 == 0 {
+        if image.is_empty() {
             return Ok(Vec::new());
         }
         let mut found = Vec::new();
