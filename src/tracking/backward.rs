@@ -7,6 +7,7 @@
 //! An object is followed no further where it leaves the picture or becomes too small, where flow, colours or the new
 //! masks fail, or where another object has its pixels ([`End`]).
 
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use ::image::RgbImage;
@@ -15,7 +16,7 @@ use serde::{Deserialize, Serialize};
 use super::appearance::Appearance;
 use super::boxes::FrameView;
 use super::region::Region;
-use super::track::{Moment, Presence, Track};
+use super::track::{Moment, Track};
 use super::tracker::{TrackObservation, Tracker};
 use super::{Correction, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::{BoxSegmenter, PerceptionError};
@@ -101,7 +102,10 @@ impl BackwardTracker {
         prompter: Option<&mut dyn BoxSegmenter>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
-        let elapsed_s = self.check(frame, image, known, flow)?;
+        for (_, mask) in known {
+            self.tracker.same_size("a known mask", frame, image, (mask.width(), mask.height()))?;
+        }
+        let elapsed_s = self.tracker.check(frame, image, flow, Ordering::Less)?;
         let now = Moment { count: 0, frame: frame.id, time_s: frame.time_s };
         let view = FrameView { image, flow, now, elapsed_s };
         let seen = self.tracker.follow_boxes(&view, Vec::new(), prompter)?;
@@ -121,27 +125,6 @@ impl BackwardTracker {
         self.finished.extend(left);
         self.finished.sort_by_key(|extension| extension.object);
         self.finished
-    }
-
-    /// Checks order and sizes; gives the seconds to the frame given before.
-    fn check(
-        &self,
-        frame: &Frame,
-        image: &RgbImage,
-        known: &[(ObjectId, Mask)],
-        flow: Option<&Flow>,
-    ) -> Result<f64, PerceptionError> {
-        for (_, mask) in known {
-            self.tracker.same_size("a known mask", frame, image, (mask.width(), mask.height()))?;
-        }
-        self.tracker.check_sizes(frame, image, flow)?;
-        match self.tracker.last_frame {
-            Some((previous, ..)) if frame.id >= previous => {
-                Err(PerceptionError::FrameOrder { previous, found: frame.id })
-            }
-            Some((_, time_s, _)) => Ok((time_s - frame.time_s).max(0.0)),
-            None => Ok(0.0),
-        }
     }
 
     /// The masks of the frame, without the pixels that are known to be others'.
@@ -223,5 +206,5 @@ fn who_is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> O
 
 /// Returns true if a lost object was at the image border.
 fn leaves_at_rim(track: &Track, width: u32, height: u32) -> bool {
-    matches!(track.presence, Presence::Lost(_)) && track.region.bounds().touches_border(width, height)
+    track.is_lost() && track.region.bounds().touches_border(width, height)
 }

@@ -8,8 +8,8 @@ const SAME_OBJECT: f64 = 0.55;
 /// A box of motion and a box of a detector that overlap by more than this mean one object: motion finds the part of a
 /// vehicle that has texture, or the vehicle with its shadow.
 const SAME_MOVER: f64 = 0.35;
-/// A box lies in another from this share of its area on.
-const INSIDE: f64 = 0.7;
+/// A box or a mask lies in another from this share of its area on.
+pub(super) const INSIDE: f64 = 0.7;
 /// A box waits for a mask for at most so many frames.
 const MAX_WAITING_FRAMES: usize = 40;
 

@@ -5,13 +5,13 @@ use ::image::RgbImage;
 use super::affine::Affine;
 use super::appearance::Appearance;
 use super::assignment::assign;
-use super::box_groups::{self, BoxGroup, Finding};
+use super::box_groups::{self, BoxGroup, Finding, INSIDE};
 use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
 use super::merging::is_same_size;
 use super::occlusion::Cover;
 use super::propagation::{Propagated, carry_rect};
 use super::region::Region;
-use super::track::{Moment, Prediction, PromptOutcome, Track};
+use super::track::{Moment, Prediction, Track};
 use super::tracker::{MAX_COVERED, TrackObservation, Tracker};
 use super::{DetectedBox, Evidence, MIN_AREA_PX2, MIN_SIMILARITY, TrackerOptions};
 use crate::networks::{BoxSegmenter, PerceptionError};
@@ -21,8 +21,6 @@ use crate::scene::{Flow, ObjectId, Outline, Rect};
 const MIN_BOX_OVERLAP: f64 = 0.4;
 /// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
 const MIN_CARRIED_SHARE: f64 = 0.4;
-/// Two masks of which one lies in the other by more than this share show one object.
-const SAME_MASK: f64 = 0.7;
 /// A new mask that agrees so well with the outline of the whole object shows all of it.
 const SAME_OUTLINE: f64 = 0.85;
 /// A new mask that swallows a followed object by more than this share is no object of its own.
@@ -192,7 +190,7 @@ impl Tracker {
         for track_idx in 0..self.tracks.len() {
             match meeting.carried(track_idx) {
                 Some(carried) => {
-                    let evidence = self.keep_carried(track_idx, meeting, PromptOutcome::Not, view);
+                    let evidence = self.keep_carried(track_idx, meeting, false, view);
                     seen.push(TrackObservation { track_idx, evidence, region: carried.region.clone() });
                 }
                 None => self.lose(track_idx, meeting, view.now),
@@ -201,16 +199,10 @@ impl Tracker {
         seen
     }
 
-    fn keep_carried(
-        &mut self,
-        track_idx: usize,
-        meeting: &Meeting,
-        asked: PromptOutcome,
-        view: &FrameView,
-    ) -> Evidence {
+    fn keep_carried(&mut self, track_idx: usize, meeting: &Meeting, in_vain: bool, view: &FrameView) -> Evidence {
         let track = &mut self.tracks[track_idx];
-        note(track, meeting.sight(track_idx), IsNew::No, view.now);
-        track.carry_between(&meeting.predictions[track_idx], asked, view.now, view.elapsed_s);
+        track.note_look(meeting.sight(track_idx), false, view.now);
+        track.carry(&meeting.predictions[track_idx], in_vain, view.now, view.elapsed_s);
         meeting.sight(track_idx).map_or(Evidence::Carried, detected)
     }
 
@@ -238,33 +230,32 @@ impl Tracker {
                 continue;
             };
             let region = region_of(&choice);
-            if let Some(evidence) = self.take(track_idx, choice, meeting, view, outline) {
+            if let Some(evidence) = self.take(track_idx, choice.fresh, meeting, view, outline) {
                 seen.push(TrackObservation { track_idx, evidence, region });
             }
         }
         seen
     }
 
-    /// Continues a track with the mask that was chosen; `None` if it is the carried one and worn out.
+    /// Continues a track with a new mask, or with the carried one; `None` if that is worn out.
     fn take(
         &mut self,
         track_idx: usize,
-        choice: Choice,
+        fresh: Option<Fresh>,
         meeting: &Meeting,
         view: &FrameView,
         outline: Outline,
     ) -> Option<Evidence> {
-        let Some(fresh) = choice.fresh else {
+        let Some(fresh) = fresh else {
             let is_worn_out = self.tracks[track_idx].is_worn_out();
-            let asked = if meeting.is_at_rest[track_idx] { PromptOutcome::Not } else { PromptOutcome::InVain };
-            return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, asked, view));
+            return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, !meeting.is_at_rest[track_idx], view));
         };
         let (track, sight) = (&mut self.tracks[track_idx], meeting.sight(track_idx));
         if let Some(carried) = meeting.carried(track_idx) {
             let retraced = track.way.retraced(&fresh.region, carried, view.image.dimensions());
             self.retraced.extend(retraced.into_iter().map(|(frame, region)| (frame, track.provisional, region)));
         }
-        note(track, sight, IsNew::Yes, view.now);
+        track.note_look(sight, true, view.now);
         track.renew(&fresh, outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
         track.anchor(sight);
         Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))
@@ -278,12 +269,23 @@ impl Tracker {
             let shown = meeting.own_masks[track_idx].iter().find(is_shown);
             let Some(fresh) = shown.filter(|fresh| !is_explained(&fresh.region, seen)).cloned() else { continue };
             self.lose(track_idx, meeting, view.now);
-            self.note_gap(track_idx, &fresh.region, fresh.appearance.as_ref(), view.now);
-            let region = fresh.region.clone();
-            let choice = Choice { score: 1.0, fresh: Some(fresh) };
-            let evidence = self.take(track_idx, choice, meeting, view, outline);
-            seen.extend(evidence.map(|evidence| TrackObservation { track_idx, evidence, region }));
+            seen.extend(self.take_again(track_idx, fresh, meeting, view, outline));
         }
+    }
+
+    /// Continues a track that was lost with a mask that shows it again.
+    fn take_again(
+        &mut self,
+        track_idx: usize,
+        fresh: Fresh,
+        meeting: &Meeting,
+        view: &FrameView,
+        outline: Outline,
+    ) -> Option<TrackObservation> {
+        self.tracks[track_idx].note_gap(&fresh, view.now);
+        let region = fresh.region.clone();
+        let evidence = self.take(track_idx, Some(fresh), meeting, view, outline)?;
+        Some(TrackObservation { track_idx, evidence, region })
     }
 
     /// Continues tracks that were lost a moment ago by masks at about their place, of about their size and like
@@ -316,11 +318,7 @@ impl Tracker {
                 continue;
             }
             meeting.sight_of[track_idx] = Some(sight_idx);
-            self.note_gap(track_idx, &fresh.region, fresh.appearance.as_ref(), view.now);
-            let region = fresh.region.clone();
-            let choice = Choice { score: 1.0, fresh: Some(fresh) };
-            let evidence = self.take(track_idx, choice, meeting, view, outline);
-            again.extend(evidence.map(|evidence| TrackObservation { track_idx, evidence, region }));
+            again.extend(self.take_again(track_idx, fresh, meeting, view, outline));
         }
         again
     }
@@ -372,21 +370,6 @@ pub(super) fn may_start(sight: &BoxGroup, options: &TrackerOptions) -> bool {
     is_both || detector >= least || motion >= options.start_motion
 }
 
-/// Novelty of a frame's mask.
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum IsNew {
-    Yes,
-    No,
-}
-
-/// Counts what shows the object in this frame: boxes, or else its mask alone.
-fn note(track: &mut Track, sight: Option<&BoxGroup>, is_new: IsNew, now: Moment) {
-    match sight {
-        Some(sight) => track.note(sight, now),
-        None => track.count_unboxed(is_new == IsNew::Yes),
-    }
-}
-
 /// The mask of an object in which flow is of no use, as of a dark car of 15 pixels, carried with the box that shows the
 /// object; `None` where no box does.
 fn carried_by_box(track: &Track, prediction: &Prediction, sights: &[BoxGroup]) -> Option<Propagated> {
@@ -415,7 +398,7 @@ fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Propaga
         carried: Some(&carried.region),
         whole: carried.is_partly_hidden().then_some(&carried.whole),
         rect: meeting.sight(track_idx).map(|sight| sight.rect),
-        area: track.full_area(),
+        area: track.area,
         appearance: track.appearance.as_ref(),
     };
     let in_sight = meeting.sight_of[track_idx].and_then(|sight| meeting.masks[sight].clone());
@@ -425,7 +408,7 @@ fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Propaga
         .map(|fresh| Choice { score: score(&fresh, &expected), fresh: Some(fresh) })
         .filter(|choice| choice.score >= MIN_SCORE)
         .collect();
-    let old = score_carried(&carried.region, track.quality(), track.frames_carried() + 1, &expected);
+    let old = score_carried(&carried.region, track.quality, track.frames_carried() + 1, &expected);
     choices.push(Choice { score: old, fresh: None });
     choices.sort_by(|a, b| b.score.total_cmp(&a.score));
     choices
@@ -449,7 +432,7 @@ fn looks_like(track: &Track, image: &RgbImage, region: &Region) -> bool {
 
 /// Returns true if a mask shows the object of another track.
 fn is_taken(region: &Region, seen: &[TrackObservation]) -> bool {
-    let same = |s: &TrackObservation| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > SAME_MASK;
+    let same = |s: &TrackObservation| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > INSIDE;
     seen.iter().any(same)
 }
 

@@ -10,15 +10,13 @@ use std::collections::BTreeMap;
 
 use ::image::RgbImage;
 
-use super::TrackSummary;
 use super::appearance::Appearance;
 use super::region::Region;
 use super::support::MIN_FRAMES;
 use super::track::compatible;
+use super::{MIN_SIMILARITY, SURE_SIMILARITY, TrackSummary};
 use crate::scene::{FrameId, Gap, IdentityEvidence, Mask};
 
-/// Similarity of colours that two views of one object have at least.
-const MIN_COLOURS: f64 = 0.6;
 /// Two views of one object differ in size by no more than this factor, besides what the distance does.
 const MAX_SIZE_RATIO: f64 = 2.5;
 
@@ -33,9 +31,8 @@ const MIN_POINTS: usize = 5;
 const MATCHES_PER_POINT: usize = 10;
 /// Two views full of points that have fewer than this in common show two objects.
 const FEW_POINTS: usize = 4;
-/// Where points do not tell, place and colours must: share of the tolerated distance, similarity, seconds.
+/// Where points do not tell, place and colours must: share of the tolerated distance, seconds.
 const SURE_PLACE: f64 = 0.5;
-const SURE_COLOURS: f64 = 0.8;
 const SURE_GAP_S: f64 = 1.5;
 /// Margin by which the better of two continuations must be better.
 const MARGIN: f64 = 0.5;
@@ -79,10 +76,10 @@ pub fn same(pair: &Pair) -> Result<f64, String> {
         return Err("different size".to_owned());
     }
     let colours = colours.unwrap_or(0.0);
-    if colours < MIN_COLOURS {
+    if colours < MIN_SIMILARITY {
         return Err("different colors".to_owned());
     }
-    let by_place = place <= SURE_PLACE && colours >= SURE_COLOURS && pair.gap_s <= SURE_GAP_S;
+    let by_place = place <= SURE_PLACE && colours >= SURE_SIMILARITY && pair.gap_s <= SURE_GAP_S;
     let least = MIN_POINTS + num_matches.unwrap_or(0) / MATCHES_PER_POINT;
     match num_points {
         Some(points) if points >= least => {}
@@ -172,9 +169,6 @@ struct Similarity {
 }
 
 impl Similarity {
-    // cos 60°, as described above.
-    const MIN_COS: f64 = 0.5;
-
     /// The one that takes two points to two others; `None` if they lie too close together or it is out of bounds.
     fn of(p: &([f64; 2], [f64; 2]), q: &([f64; 2], [f64; 2]), tolerance_px: f64) -> Option<Self> {
         let [u, v] = [q.0[0] - p.0[0], q.0[1] - p.0[1]];
@@ -185,7 +179,8 @@ impl Similarity {
         }
         let turn = [(u * x + v * y) / length_sq, (u * y - v * x) / length_sq];
         let scale = turn[0].hypot(turn[1]);
-        let is_possible = is_same_size(scale) && turn[0] >= Self::MIN_COS * scale;
+        // cos 60° is 0.5.
+        let is_possible = is_same_size(scale) && turn[0] >= 0.5 * scale;
         is_possible.then_some(Self { from: p.0, to: p.1, turn })
     }
 

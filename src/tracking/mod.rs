@@ -242,29 +242,18 @@ pub struct TrackerOptions {
 
 /// Detections with fewer pixels are skipped.
 const MIN_AREA_PX2: usize = 40;
-/// Similarity of colours (Bhattacharyya coefficient) that a lost object must have to be found again.
+/// Similarity of colours (Bhattacharyya coefficient) that two views of one object have at least.
 const MIN_SIMILARITY: f64 = 0.6;
+/// Similarity of colours from which they count as evidence.
+const SURE_SIMILARITY: f64 = 0.8;
 
 /// Vehicles, in the words of COCO, Cityscapes and the common drone data sets.
-const VEHICLES: [&str; 12] = [
-    "car",
-    "truck",
-    "bus",
-    "van",
-    "motorcycle",
-    "motor",
-    "motorbike",
-    "trailer",
-    "caravan",
-    "vehicle",
-    "tricycle",
-    "awning-tricycle",
-];
+const VEHICLES: &str = "car truck bus van motorcycle motor motorbike trailer caravan vehicle tricycle awning-tricycle";
 
 impl Default for TrackerOptions {
     fn default() -> Self {
         Self {
-            track_classes: VEHICLES.map(str::to_owned).to_vec(),
+            track_classes: VEHICLES.split(' ').map(str::to_owned).collect(),
             start_confidence: 0.35,
             start_standing: support::SURE_OF_STANDING,
             start_motion: 0.85,

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use super::appearance::Appearance;
-use super::box_groups::BoxGroup;
+use super::box_groups::{BoxGroup, INSIDE};
 use super::choice::Fresh;
 use super::merging::is_same_size;
 use super::occlusion::Cover;
@@ -12,7 +12,7 @@ use super::region::Region;
 use super::retrace::Way;
 use super::support::MIN_FRAMES;
 use super::track_statistics::Ledger;
-use super::{BoxSource, ConfirmedObject, MIN_SIMILARITY, Predecessor, TrackSummary, TrackerOptions};
+use super::{BoxSource, ConfirmedObject, MIN_SIMILARITY, Predecessor, SURE_SIMILARITY, TrackSummary, TrackerOptions};
 use crate::scene::{FrameId, Gap, IdentityEvidence, ObjectId, Outline, Rect};
 
 /// Share of the way that velocity and looks move towards each new measurement.
@@ -30,9 +30,6 @@ const MAX_LOST_SECS: f64 = 3.0;
 const MOSTLY_SEEN: f64 = 0.85;
 /// Of an object whose flow failed this much must have been seen, and a mask must show as much, where it is looked for.
 const LEAST_SEEN: f64 = 0.3;
-/// Share of such a mask that lies in the outline of the object, and similarity of its colours.
-const MOSTLY_INSIDE: f64 = 0.7;
-const SURELY_ALIKE: f64 = 0.8;
 /// A lost object that comes back within so many seconds is found again by place and colours alone, if nothing hid it:
 /// no vehicle gets to the place of another of its size and colours in that time.
 const BRIEFLY_S: f64 = 0.6;
@@ -109,12 +106,12 @@ pub(super) struct Track {
     /// The last look at which a box showed the object.
     last_boxed: usize,
     /// Pixels of the object while all of it was seen.
-    area: f64,
+    pub(super) area: f64,
     /// Quality of its latest mask when it was new, 0 to 1.
-    quality: f64,
+    pub(super) quality: f64,
     /// When that was, seconds.
     renewed_s: f64,
-    ledger: Ledger,
+    pub(super) ledger: Ledger,
     gaps: Vec<Gap>,
     after: Option<Predecessor>,
     /// True if another track may be its continuation.
@@ -211,24 +208,22 @@ impl Track {
         self.ledger.trust();
     }
 
+    /// Counts what shows the object in this frame: boxes, or else its mask alone, which is new or carried.
+    pub(super) fn note_look(&mut self, sight: Option<&BoxGroup>, is_new: bool, now: Moment) {
+        match sight {
+            Some(sight) => self.note(sight, now),
+            None => self.ledger.count_unboxed(is_new),
+        }
+    }
+
     /// Counts the boxes that show the object; a class of the detector beats motion, which knows none.
-    pub(super) fn note(&mut self, sight: &BoxGroup, now: Moment) {
+    fn note(&mut self, sight: &BoxGroup, now: Moment) {
         for finding in sight.findings() {
             *self.class_votes.entry(finding.class.clone()).or_default() += finding.detector.unwrap_or(0.0);
             self.sum_confidence += finding.confidence();
             self.ledger.note(finding);
         }
         self.last_boxed = now.count;
-    }
-
-    /// Counts a look at the frame, whatever it showed.
-    pub(super) fn look(&mut self, by: BoxSource) {
-        self.ledger.look(by);
-    }
-
-    /// Counts a frame with a mask that no box of the frame shows.
-    pub(super) fn count_unboxed(&mut self, is_new: bool) {
-        self.ledger.count_unboxed(is_new);
     }
 
     /// Continues the track with a new mask.
@@ -284,13 +279,17 @@ impl Track {
         self.trust(now);
     }
 
-    /// Continues the track with its carried mask, in a frame in which no new one fits (`Some`: it was asked for in
-    /// vain) or none was asked for.
-    pub(super) fn carry_between(&mut self, prediction: &Prediction, asked: PromptOutcome, now: Moment, elapsed_s: f64) {
+    /// Continues the track with its carried mask, in a frame in which no new one fits, though one was asked for
+    /// (`in_vain`), or none was asked for.
+    pub(super) fn carry(&mut self, prediction: &Prediction, in_vain: bool, now: Moment, elapsed_s: f64) {
         let Some(carried) = &prediction.carried else { return };
-        self.carry(carried, prediction.background, elapsed_s);
+        self.learn_velocity(carried.displacement, prediction.background, elapsed_s);
+        self.region = carried.region.clone();
+        (self.whole, self.cover) = (carried.whole.clone(), carried.cover.clone());
+        self.carried_since += 1;
+        self.presence = Presence::Carried(self.frames_carried() + 1);
         self.way.go(now.frame, carried);
-        self.num_failed += usize::from(asked == PromptOutcome::InVain);
+        self.num_failed += usize::from(in_vain);
         if self.num_failed == 0 {
             self.trust(now);
         }
@@ -312,8 +311,8 @@ impl Track {
     pub(super) fn is_at_rest(&self, now: Moment, options: &TrackerOptions) -> bool {
         let found = &self.ledger.found;
         let stands = self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size;
-        let is_seen_to_move = 100 * (found.motion + found.both) > MOVING_PERCENT * self.ledger.found.detected();
-        let is_known = self.id.is_some() && self.num_failed == 0 && self.ledger.num_masks() >= MIN_MASKS_AT_REST;
+        let is_seen_to_move = 100 * (found.motion + found.both) > MOVING_PERCENT * found.detected();
+        let is_known = self.id.is_some() && self.num_failed == 0 && self.ledger.num_masks >= MIN_MASKS_AT_REST;
         is_known && stands && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
     }
 
@@ -327,18 +326,6 @@ impl Track {
             (look @ None, newer) => *look = newer.cloned(),
             (Some(_), None) => {}
         }
-    }
-
-    /// Continues the track with its carried mask.
-    pub(super) fn carry(&mut self, carried: &Propagated, background: [f64; 2], elapsed_s: f64) {
-        self.learn_velocity(carried.displacement, background, elapsed_s);
-        self.region = carried.region.clone();
-        (self.whole, self.cover) = (carried.whole.clone(), carried.cover.clone());
-        self.carried_since += 1;
-        self.presence = Presence::Carried(match self.presence {
-            Presence::Carried(frames) => frames + 1,
-            _ => 1,
-        });
     }
 
     /// Continues the track without any sight of it; `moved` is where it should be.
@@ -431,9 +418,9 @@ impl Track {
     /// * `place` – its whole outline there.
     pub(super) fn is_shown_by(&self, fresh: &Fresh, place: &Region) -> bool {
         let looks = self.appearance.as_ref().zip(fresh.appearance.as_ref());
-        let is_alike = looks.is_some_and(|(before, now)| before.similarity(now) >= SURELY_ALIKE);
+        let is_alike = looks.is_some_and(|(before, now)| before.similarity(now) >= SURE_SIMILARITY);
         let is_large = fresh.region.area() as f64 >= LEAST_SEEN * place.area() as f64;
-        is_alike && is_large && fresh.region.covered_by(place) >= MOSTLY_INSIDE
+        is_alike && is_large && fresh.region.covered_by(place) >= INSIDE
     }
 
     /// Returns true if a new object may be this one, which was lost for longer.
@@ -441,25 +428,18 @@ impl Track {
         self.id.is_some() && self.is_lost() && !self.is_succeeded && !self.is_briefly_lost(now)
     }
 
-    /// Says that the object was not seen since it was seen last.
-    pub(super) fn remember_gap(&mut self, evidence: IdentityEvidence, now: Moment) {
-        self.gaps.push(Gap { last: self.last_detected.frame, first: now.frame, evidence });
+    /// Remembers that it was lost, if it was, when it is about to be found again.
+    pub(super) fn note_gap(&mut self, fresh: &Fresh, now: Moment) {
+        let recognised = self.recognise(&fresh.region, fresh.appearance.as_ref(), now);
+        if let Some(Recognised { evidence, .. }) = recognised.filter(|_| self.is_lost()) {
+            self.gaps.push(Gap { last: self.last_detected.frame, first: now.frame, evidence });
+        }
     }
 
     /// Says which lost object this one may be.
     pub(super) fn follow_after(&mut self, lost: &mut Self, evidence: IdentityEvidence) {
         self.after = Some(Predecessor { provisional: lost.provisional, evidence });
         lost.is_succeeded = true;
-    }
-
-    /// Pixels of the object while all of it was seen.
-    pub(super) fn full_area(&self) -> f64 {
-        self.area
-    }
-
-    /// Quality of its latest mask when it was new, 0 to 1.
-    pub(super) fn quality(&self) -> f64 {
-        self.quality
     }
 
     /// Rank of the track: confirmed ones first, then by number of boxes.
@@ -480,11 +460,15 @@ impl Track {
         best.map_or("", |(class, _)| class)
     }
 
+    /// Mean confidence of its detections.
+    fn confidence(&self) -> f64 {
+        self.sum_confidence / self.ledger.found.detected() as f64
+    }
+
     /// The object of a confirmed track; `None` for any other.
     pub(super) fn confirmed(&self) -> Option<ConfirmedObject<'_>> {
-        let confidence = self.sum_confidence / self.ledger.found.detected() as f64;
         let (id, provisional, class) = (self.id?, self.provisional, self.class());
-        Some(ConfirmedObject { id, provisional, class, confidence, after: self.after })
+        Some(ConfirmedObject { id, provisional, class, confidence: self.confidence(), after: self.after })
     }
 
     /// The result for a confirmed track; `None` for any other.
@@ -493,7 +477,7 @@ impl Track {
             id: self.id?,
             provisional: self.provisional,
             class: self.class().to_owned(),
-            confidence: self.sum_confidence / self.ledger.found.detected() as f64,
+            confidence: self.confidence(),
             first: self.first,
             last: self.last_detected.frame,
             num_carried: self.num_carried,
@@ -507,15 +491,6 @@ impl Track {
             after: self.after,
         })
     }
-}
-
-/// Outcome of segmentation in a frame to which a mask was propagated.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum PromptOutcome {
-    /// Nobody asked.
-    Not,
-    /// No answer was better than the carried mask.
-    InVain,
 }
 
 /// Classes that a network may confuse for one object; only one of a group is tracked per place.

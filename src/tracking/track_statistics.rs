@@ -19,7 +19,8 @@ pub(super) struct Ledger {
     sum_class_confidence: f64,
     sum_quality: f64,
     sum_area: f64,
-    num_masks: usize,
+    /// Masks that were asked for.
+    pub(super) num_masks: usize,
 }
 
 impl Ledger {
@@ -72,11 +73,6 @@ impl Ledger {
     /// Mean confidence of the detector's boxes; 0 without any.
     pub(super) fn class_confidence(&self) -> f64 {
         self.sum_class_confidence / self.found.by_detector().max(1) as f64
-    }
-
-    /// Masks that were asked for.
-    pub(super) fn num_masks(&self) -> usize {
-        self.num_masks
     }
 
     /// Mean quality of the masks that were asked for.

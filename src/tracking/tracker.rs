@@ -1,5 +1,7 @@
 //! The tracker: one step per frame.
 
+use std::cmp::Ordering;
+
 use ::image::RgbImage;
 
 use super::appearance::Appearance;
@@ -9,7 +11,7 @@ use super::occlusion::Pictures;
 use super::propagation::{PreviousObject, background_displacement, carry_whole};
 use super::region::Region;
 use super::retrace::{Correction, Reported};
-use super::track::{Moment, Prediction, Presence, Recognised, Track};
+use super::track::{Moment, Prediction, Recognised, Track};
 use super::{ConfirmedObject, Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::PerceptionError;
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
@@ -18,7 +20,7 @@ use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 pub(super) const MAX_COVERED: f64 = 0.6;
 
 /// Follows objects from frame to frame; see the module.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Default)]
 pub struct Tracker {
     pub(super) options: TrackerOptions,
     pub(super) tracks: Vec<Track>,
@@ -49,21 +51,7 @@ pub(super) struct TrackObservation {
 impl Tracker {
     /// A tracker that has seen nothing yet.
     pub fn new(options: TrackerOptions) -> Self {
-        Self {
-            options,
-            tracks: Vec::new(),
-            waiting: Vec::new(),
-            num_started: 0,
-            finished: Vec::new(),
-            num_confirmed: 0,
-            num_looks: 0,
-            last_frame: None,
-            last_picture: None,
-            reported: Reported::default(),
-            retraced: Vec::new(),
-            corrections: Vec::new(),
-            passed_over: IgnoredBoxes::default(),
-        }
+        Self { options, ..Self::default() }
     }
 
     /// Takes the next frame.
@@ -84,12 +72,12 @@ impl Tracker {
         look: FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
-        let elapsed_s = self.check(frame, image, flow)?;
+        let elapsed_s = self.check(frame, image, flow, Ordering::Greater)?;
         let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
         let view = FrameView { image, flow, now, elapsed_s };
         let FrameInput { found, by, prompter } = look;
         self.num_looks += 1;
-        self.tracks.iter_mut().for_each(|track| track.look(by));
+        self.tracks.iter_mut().for_each(|track| track.ledger.look(by));
         let sightings = self.follow_boxes(&view, found, prompter)?;
         let masks = self.report(sightings, frame.id, Vec::new(), image.dimensions());
         self.settle(now);
@@ -131,27 +119,27 @@ impl Tracker {
         self.finished
     }
 
-    /// Checks order and sizes; gives the seconds since the last frame, 0 for the first.
-    fn check(&self, frame: &Frame, image: &RgbImage, flow: Option<&Flow>) -> Result<f64, PerceptionError> {
-        self.check_sizes(frame, image, flow)?;
-        match self.last_frame {
-            Some((previous, ..)) if frame.id <= previous => {
-                Err(PerceptionError::FrameOrder { previous, found: frame.id })
-            }
-            Some((_, time_s, _)) => Ok((frame.time_s - time_s).max(0.0)),
-            None => Ok(0.0),
-        }
-    }
-
-    pub(super) fn check_sizes(
+    /// Checks order and sizes; gives the seconds between the frame and the one given before, 0 for the first.
+    ///
+    /// * `order` – of this frame and the one before.
+    pub(super) fn check(
         &self,
         frame: &Frame,
         image: &RgbImage,
         flow: Option<&Flow>,
-    ) -> Result<(), PerceptionError> {
+        order: Ordering,
+    ) -> Result<f64, PerceptionError> {
         self.options.check()?;
         self.same_size("the image", frame, image, image.dimensions())?;
-        flow.map_or(Ok(()), |flow| self.same_size("the flow", frame, image, (flow.width, flow.height)))
+        flow.map_or(Ok(()), |flow| self.same_size("the flow", frame, image, (flow.width, flow.height)))?;
+        match self.last_frame {
+            Some((previous, ..)) if frame.id.cmp(&previous) != order => {
+                Err(PerceptionError::FrameOrder { previous, found: frame.id })
+            }
+            Some((_, time_s, _)) if order == Ordering::Greater => Ok((frame.time_s - time_s).max(0.0)),
+            Some((_, time_s, _)) => Ok((time_s - frame.time_s).max(0.0)),
+            None => Ok(0.0),
+        }
     }
 
     /// Refuses what has not the size of the frames, which is that of the first one.
@@ -178,22 +166,12 @@ impl Tracker {
         let predict_one = |track: &Track| {
             let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));
             let background = background.unwrap_or_default();
-            let is_seen = !matches!(track.presence, Presence::Lost(_));
             let seen = PreviousObject { region: &track.region, whole: &track.whole, cover: &track.cover };
-            let carried = flow.filter(|_| is_seen).and_then(|flow| carry_whole(&seen, flow, pictures));
+            let carried = flow.filter(|_| !track.is_lost()).and_then(|flow| carry_whole(&seen, flow, pictures));
             let moved = track.whole.moved(track.expected(background, elapsed_s));
             Prediction { carried, moved, background }
         };
         self.tracks.iter().map(predict_one).collect()
-    }
-
-    /// Remembers that a track which is about to be found again was lost.
-    pub(super) fn note_gap(&mut self, track_idx: usize, region: &Region, appearance: Option<&Appearance>, now: Moment) {
-        let track = &mut self.tracks[track_idx];
-        let recognised = track.recognise(region, appearance, now);
-        if let Some(recognised) = recognised.filter(|_| track.is_lost()) {
-            track.remember_gap(recognised.evidence, now);
-        }
     }
 
     /// Adds a new track; where a lost object may have come up again, it remembers which.
