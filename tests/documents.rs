@@ -276,7 +276,7 @@ const TROUBLESHOOTING: &str = "docs/troubleshooting.md";
 fn every_warning_has_a_section() {
     let page = read(&root().join(TROUBLESHOOTING));
     let sections: Vec<String> = page.lines().filter(|line| line.starts_with("### ")).map(anchor).collect();
-    let missing = Topic::ALL.iter().map(|topic| topic.anchor()).filter(|anchor| !sections.iter().any(|s| s == anchor));
+    let missing = Topic::ALL.iter().map(|topic| topic.name()).filter(|anchor| !sections.iter().any(|s| s == anchor));
     report(&missing.map(|anchor| format!("{TROUBLESHOOTING} has no section {anchor}")).collect::<Vec<_>>());
     let untopical = |(file, source): (PathBuf, String)| {
         let calls = source.split("tracing::warn!(").skip(1).map(|call| call.split(';').next().unwrap_or_default());

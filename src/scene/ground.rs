@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FrameId, ObjectId, Point3dId};
+use super::{FrameId, ObjectId, Point3dId, with_names};
 
 /// Where the ground labels came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -38,23 +38,16 @@ pub enum PlaneBasis {
     Vehicles,
 }
 
+with_names!(PlaneBasis {
+    Path = "path",
+    LabelledPoints = "labelled-points",
+    Points = "points",
+    Mount = "mount",
+    Dominant = "dominant",
+    Vehicles = "vehicles",
+});
+
 impl PlaneBasis {
-    /// Every link, the surest first.
-    pub const ALL: [Self; 6] =
-        [Self::Path, Self::LabelledPoints, Self::Points, Self::Mount, Self::Dominant, Self::Vehicles];
-
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Path => "path",
-            Self::LabelledPoints => "labelled-points",
-            Self::Points => "points",
-            Self::Mount => "mount",
-            Self::Dominant => "dominant",
-            Self::Vehicles => "vehicles",
-        }
-    }
-
     /// In words, for people.
     pub fn words(self) -> &'static str {
         match self {

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
+use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel, with_names};
 use crate::math::Sim3;
 use crate::math::rounding::counted;
 
@@ -20,12 +20,7 @@ pub enum GroundTrackMethod {
     GroundContact,
 }
 
-impl GroundTrackMethod {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        "ground-contact"
-    }
-}
+with_names!(GroundTrackMethod { GroundContact = "ground-contact" });
 
 /// Error of a contact point in four independent parts, by how it changes over the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
@@ -137,16 +132,7 @@ pub enum GroundTrackTrust {
     Inconsistent,
 }
 
-impl GroundTrackTrust {
-    /// The word in files, tables, the page and the terminal.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Usable => "usable",
-            Self::Coarse => "coarse",
-            Self::Inconsistent => "inconsistent",
-        }
-    }
-}
+with_names!(GroundTrackTrust { Usable = "usable", Coarse = "coarse", Inconsistent = "inconsistent" });
 
 /// Verdict on a ground track.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

@@ -10,6 +10,7 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::with_names;
 use crate::math::Sim3;
 
 /// On what metres rest.
@@ -26,17 +27,12 @@ pub enum MetricVerdict {
     Unknown,
 }
 
-impl MetricVerdict {
-    /// The name in files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Surveyed => "surveyed",
-            Self::Telemetry => "telemetry",
-            Self::PriorOnly => "prior-only",
-            Self::Unknown => "unknown",
-        }
-    }
-}
+with_names!(MetricVerdict {
+    Surveyed = "surveyed",
+    Telemetry = "telemetry",
+    PriorOnly = "prior-only",
+    Unknown = "unknown",
+});
 
 /// Contribution of one source to the meters per unit.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]

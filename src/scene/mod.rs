@@ -11,6 +11,7 @@ mod ground_track;
 mod mask;
 mod mesh;
 mod metric;
+mod names;
 mod reconstruction;
 mod scale_method;
 mod tracked;
@@ -32,6 +33,7 @@ pub use metric::{
     ClockZone, Dates, Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame,
     MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, Travel, sources_in_words,
 };
+pub(crate) use names::with_names;
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
 };

@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::with_names;
+
 /// Method of estimating a scale ratio; the names are those of the contract.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -63,72 +65,59 @@ const OZDEN_CVPR: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVPR 2004";
 const YUAN: &str = "Yuan, Medioni, CVPR 2006";
 const PARK: &str = "Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015";
 
-impl ScaleMethod {
-    /// Every method, in the order of tables: the paper's baseline and method, the program's own, references.
-    pub const ALL: [Self; 17] = [
-        Self::Intersection,
-        Self::ConstantDistance,
-        Self::Joint,
-        Self::RobustLeastSquares,
-        Self::OzdenIndependence,
-        Self::OzdenVelocity,
-        Self::OzdenPlane,
-        Self::OzdenAxis,
-        Self::OzdenHeading,
-        Self::Zheng,
-        Self::CameraHeight,
-        Self::Yuan,
-        Self::YuanLocal,
-        Self::Park,
-        Self::ParkFamily,
-        Self::Valmadre,
-        Self::Kundu,
-    ];
+// In the order of tables: the paper's baseline and method, the program's own, references.
+with_names!(ScaleMethod {
+    Intersection = "intersection",
+    ConstantDistance = "constant-distance",
+    Joint = "joint",
+    RobustLeastSquares = "least-squares",
+    OzdenIndependence = "ozden-independence",
+    OzdenVelocity = "ozden-velocity",
+    OzdenPlane = "ozden-plane",
+    OzdenAxis = "ozden-axis",
+    OzdenHeading = "ozden-heading",
+    Zheng = "zheng",
+    CameraHeight = "camera-height",
+    Yuan = "yuan",
+    YuanLocal = "yuan-local",
+    Park = "park",
+    ParkFamily = "park-family",
+    Valmadre = "valmadre",
+    Kundu = "kundu",
+});
 
+impl ScaleMethod {
     /// Name, source and assumption.
     pub const fn info(self) -> MethodInfo {
-        let (name, citation, needs) = match self {
-            Self::ConstantDistance => ("constant-distance", PAPER, "constant distance to the local ground planes"),
-            Self::Intersection => ("intersection", PAPER, "lowest point on the local ground planes"),
+        let (citation, needs) = match self {
+            Self::ConstantDistance => (PAPER, "constant distance to the local ground planes"),
+            Self::Intersection => (PAPER, "lowest point on the local ground planes"),
             Self::RobustLeastSquares => {
-                ("least-squares", "this program", "constant distance to the local ground planes, in all frames at once")
+                ("this program", "constant distance to the local ground planes, in all frames at once")
             }
-            Self::Joint => {
-                ("joint", "this program", "contact with the local ground planes and level on them; outlines")
+            Self::Joint => ("this program", "contact with the local ground planes and level on them; outlines"),
+            Self::OzdenIndependence => (OZDEN_CVIU, "motion independent of the camera's; paths only"),
+            Self::OzdenVelocity => (OZDEN_CVIU, "velocity independent of the camera's; paths only"),
+            Self::OzdenPlane => (OZDEN_CVPR, "motion in a plane; paths only"),
+            Self::OzdenAxis => (OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
+            Self::OzdenHeading => (OZDEN_CVPR, "motion where it points; attitudes"),
+            Self::Zheng => ("Zheng et al., trajectoryBased3DRecon", "short path; paths only"),
+            Self::CameraHeight => {
+                ("Song, Chandraker, CVPR 2014", "lowest point on the ground planes and their covariance")
             }
-            Self::OzdenIndependence => {
-                ("ozden-independence", OZDEN_CVIU, "motion independent of the camera's; paths only")
-            }
-            Self::OzdenVelocity => ("ozden-velocity", OZDEN_CVIU, "velocity independent of the camera's; paths only"),
-            Self::OzdenPlane => ("ozden-plane", OZDEN_CVPR, "motion in a plane; paths only"),
-            Self::OzdenAxis => ("ozden-axis", OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
-            Self::OzdenHeading => ("ozden-heading", OZDEN_CVPR, "motion where it points; attitudes"),
-            Self::Zheng => ("zheng", "Zheng et al., trajectoryBased3DRecon", "short path; paths only"),
-            Self::CameraHeight => (
-                "camera-height",
-                "Song, Chandraker, CVPR 2014",
-                "lowest point on the ground planes and their covariance",
-            ),
-            Self::Yuan => ("yuan", YUAN, "translation parallel to one ground plane"),
-            Self::YuanLocal => ("yuan-local", YUAN, "translation parallel to the local ground planes"),
-            Self::Park => ("park", PARK, "path of few low frequencies; rays only"),
-            Self::ParkFamily => ("park-family", PARK, "path of few low frequencies; paths only"),
-            Self::Valmadre => ("valmadre", "Valmadre, Lucey, CVPR 2012", "little acceleration; paths only"),
-            Self::Kundu => ("kundu", "Kundu, Krishna, Jawahar, ICCV 2011", "almost constant velocity; paths only"),
+            Self::Yuan => (YUAN, "translation parallel to one ground plane"),
+            Self::YuanLocal => (YUAN, "translation parallel to the local ground planes"),
+            Self::Park => (PARK, "path of few low frequencies; rays only"),
+            Self::ParkFamily => (PARK, "path of few low frequencies; paths only"),
+            Self::Valmadre => ("Valmadre, Lucey, CVPR 2012", "little acceleration; paths only"),
+            Self::Kundu => ("Kundu, Krishna, Jawahar, ICCV 2011", "almost constant velocity; paths only"),
         };
-        let is_reference =
-            !matches!(self, Self::ConstantDistance | Self::Intersection | Self::RobustLeastSquares | Self::Joint);
-        MethodInfo { name, citation, needs, is_reference }
-    }
-
-    /// The name in files and on the command line.
-    pub const fn name(self) -> &'static str {
-        self.info().name
+        MethodInfo { name: self.name(), citation, needs, is_reference: self.is_reference() }
     }
 
     /// Returns true for a method of the literature that serves as a comparison only.
     pub const fn is_reference(self) -> bool {
-        self.info().is_reference
+        !matches!(self, Self::ConstantDistance | Self::Intersection | Self::RobustLeastSquares | Self::Joint)
     }
 
     /// Position in tables.

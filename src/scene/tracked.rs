@@ -5,7 +5,7 @@ use std::fmt;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FrameId, ObjectId};
+use super::{FrameId, ObjectId, with_names};
 
 /// In how many frames what found an object.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -95,16 +95,7 @@ pub enum Movement {
     Undetermined,
 }
 
-impl Movement {
-    /// Name in messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Moving => "moving",
-            Self::Stationary => "stationary",
-            Self::Undetermined => "undetermined",
-        }
-    }
-}
+with_names!(Movement { Moving = "moving", Stationary = "stationary", Undetermined = "undetermined" });
 
 /// Motion state of an object, with the reason.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -195,6 +186,13 @@ pub struct TrackedObject {
     /// Objects seen later that might be this one.
     #[serde(default)]
     pub apart: Vec<UnmergedTrack>,
+}
+
+impl TrackedObject {
+    /// Returns true if it has a mask in a frame.
+    pub fn is_visible_in(&self, frame: FrameId) -> bool {
+        self.frames.binary_search(&frame).is_ok()
+    }
 }
 
 #[cfg(test)]

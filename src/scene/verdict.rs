@@ -3,6 +3,8 @@
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
+use super::with_names;
+
 /// Trust in a trajectory, the best first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
@@ -19,17 +21,7 @@ pub enum Trust {
     Rejected,
 }
 
-impl Trust {
-    /// The word in files, tables, the page and the terminal.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Good => "good",
-            Self::Fair => "fair",
-            Self::Doubtful => "doubtful",
-            Self::Rejected => "rejected",
-        }
-    }
-}
+with_names!(Trust { Good = "good", Fair = "fair", Doubtful = "doubtful", Rejected = "rejected" });
 
 /// Subject of a check.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]

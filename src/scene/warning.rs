@@ -4,10 +4,12 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use super::with_names;
+
 /// Declares [`Topic`] from its variants and their sections.
 macro_rules! topics {
     ($($name:ident: $anchor:literal,)*) => {
-        /// Topic of a warning: a section of docs/troubleshooting.md.
+        /// Topic of a warning: a section of docs/troubleshooting.md, by its anchor and in the order of the page.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
         pub enum Topic {
             $(
@@ -17,17 +19,7 @@ macro_rules! topics {
             )*
         }
 
-        impl Topic {
-            /// All topics, in the order of the page.
-            pub const ALL: &[Self] = &[$(Self::$name,)*];
-
-            /// Anchor of the section.
-            pub fn anchor(self) -> &'static str {
-                match self {
-                    $(Self::$name => $anchor,)*
-                }
-            }
-        }
+        with_names!(Topic { $($name = $anchor),* });
     };
 }
 
@@ -122,7 +114,7 @@ const REFERENCE: [&str; 2] = [" [troubleshooting: ", "]"];
 impl fmt::Display for Warning {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [start, end] = REFERENCE;
-        write!(f, "{}{start}{}{end}", self.text, self.topic.anchor())
+        write!(f, "{}{start}{}{end}", self.text, self.topic.name())
     }
 }
 

@@ -4,6 +4,8 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
+use crate::scene::with_names;
+
 /// The stages of a run, in order.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
@@ -34,44 +36,27 @@ pub enum Stage {
     Report,
 }
 
+with_names!(Stage {
+    Frames = "frames",
+    Segment = "segment",
+    Features = "features",
+    Background = "background",
+    Motion = "motion",
+    Track = "track",
+    Follow = "follow",
+    Objects = "objects",
+    Ground = "ground",
+    Scale = "scale",
+    Metric = "metric",
+    Report = "report",
+});
+
 impl Stage {
-    /// All of them, in order.
-    pub const ALL: [Self; 12] = [
-        Self::Frames,
-        Self::Segment,
-        Self::Features,
-        Self::Background,
-        Self::Motion,
-        Self::Track,
-        Self::Follow,
-        Self::Objects,
-        Self::Ground,
-        Self::Scale,
-        Self::Metric,
-        Self::Report,
-    ];
-
-    /// The name in `run.json` and in messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Frames => "frames",
-            Self::Segment => "segment",
-            Self::Features => "features",
-            Self::Background => "background",
-            Self::Motion => "motion",
-            Self::Track => "track",
-            Self::Follow => "follow",
-            Self::Objects => "objects",
-            Self::Ground => "ground",
-            Self::Scale => "scale",
-            Self::Metric => "metric",
-            Self::Report => "report",
-        }
-    }
-
     /// The stages whose results this one reads.
     pub fn after(self) -> &'static [Self] {
-        use Stage::{Background, Features, Follow, Frames, Ground, Metric, Motion, Objects, Scale, Segment, Track};
+        use Stage::{
+            Background, Features, Follow, Frames, Ground, Metric, Motion, Objects, Report, Scale, Segment, Track,
+        };
         match self {
             Frames => &[],
             Segment => &[Frames],
@@ -84,7 +69,7 @@ impl Stage {
             Ground => &[Background, Objects],
             Scale => &[Ground],
             Metric => &[Scale],
-            Self::Report => &[Metric],
+            Report => &[Metric],
         }
     }
 

@@ -2,7 +2,7 @@
 
 use super::{GroundLabels, Options};
 use crate::checks::OptionError;
-use crate::scene::ScaleMethod;
+use crate::scene::{ScaleMethod, with_names};
 
 /// A whole method, from features to the scale ratio.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -30,19 +30,9 @@ const PAPER: [(&str, &str); 11] = [
     ("metric.telemetry", "none"),
 ];
 
+with_names!(Method { Default = "default", Paper = "paper", PaperBaseline = "paper-baseline" });
+
 impl Method {
-    /// All of them.
-    pub const ALL: [Self; 3] = [Self::Default, Self::Paper, Self::PaperBaseline];
-
-    /// Name on the command line and in results.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Default => "default",
-            Self::Paper => "paper",
-            Self::PaperBaseline => "paper-baseline",
-        }
-    }
-
     /// Its scale method, where it is one of the paper's.
     const fn scale_method(self) -> Option<ScaleMethod> {
         match self {
