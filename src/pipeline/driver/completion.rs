@@ -15,10 +15,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::fingerprint;
-use super::workspace::Workspace;
+use super::workspace::{self, Workspace};
 use crate::ffi::onnx::{self, Provider};
-use crate::files;
-use crate::io::RunFolder;
+use crate::io::{RunFolder, atomic};
 use crate::networks::default_models;
 use crate::pipeline::inputs::telemetry;
 use crate::pipeline::{Instances, Options, PipelineError, Stage, TelemetryChoice};
@@ -130,7 +129,7 @@ impl Completion {
 
     /// End of the last run of an output folder, if it is known.
     pub fn of_folder(output: &Path) -> Option<Self> {
-        serde_json::from_slice(&files::read(&record(output)).ok()?).ok()
+        workspace::read_state(output, RECORD).ok()
     }
 
     /// Compares the input, the options and the program with those of the record.
@@ -215,7 +214,7 @@ impl Workspace {
 
     /// Says that a run is under way. To be called before anything is touched.
     pub(in crate::pipeline) fn clear_ended(&self) -> Result<(), PipelineError> {
-        self.remove_record(RECORD)
+        Ok(atomic::remove(&self.state(RECORD))?)
     }
 }
 
@@ -266,10 +265,6 @@ fn is_gone(input: &Path) -> bool {
 /// Returns true if every stage is marked as done and all its outputs exist.
 fn has_results(output: &Path) -> bool {
     Stage::ALL.into_iter().all(|stage| Workspace::has_results_of(output, stage))
-}
-
-fn record(output: &Path) -> PathBuf {
-    output.join(RunFolder::STATE).join(RECORD)
 }
 
 #[cfg(test)]

@@ -4,6 +4,8 @@ use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 
+use super::run::FRAMES;
+use super::workspace::read_state;
 use super::{fingerprint, intermediate};
 use crate::io::{RunFolder, json};
 use crate::pipeline::inputs::cameras;
@@ -77,6 +79,5 @@ pub fn arguments_of_run(output: &Path) -> Option<Vec<String>> {
 
 /// The frames of the run in `output` with their times; `None` where its own files do not tell them any more.
 pub fn known_frames(output: &Path) -> Option<Vec<Frame>> {
-    let frames = json::read(&output.join(RunFolder::STATE).join("frames-list.json")).ok()?;
-    intermediate::checked_frames(frames).ok()
+    intermediate::checked_frames(read_state(output, FRAMES).ok()?).ok()
 }

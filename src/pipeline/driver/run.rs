@@ -4,6 +4,7 @@ use std::cell::{Cell, OnceCell};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
+use serde::Serialize;
 use serde_json::Value;
 
 use super::cost::Meter;
@@ -13,6 +14,9 @@ use crate::ffi::memory;
 use crate::pipeline::{Options, PipelineError, Progress, Stage};
 use crate::scene::{Frame, Warning};
 use crate::video::{Info, Source};
+
+/// The list of frames among the run's own files.
+pub(in crate::pipeline) const FRAMES: &str = "frames-list.json";
 
 /// Results of a stage besides its files.
 #[derive(Debug, Default)]
@@ -78,20 +82,18 @@ impl<'a> Run<'a> {
         arguments: &'a [String],
         progress: &'a dyn Progress,
     ) -> Self {
-        let (records, warnings, frames, said_anew) = (Vec::new(), Vec::new(), OnceCell::new(), Cell::new(false));
-        let (goal, film_focal_mm) = (Stage::Report, OnceCell::new());
         Self {
             options,
             workspace,
             source,
             arguments,
             progress,
-            goal,
-            records,
-            warnings,
-            frames,
-            film_focal_mm,
-            said_anew,
+            goal: Stage::Report,
+            records: Vec::new(),
+            warnings: Vec::new(),
+            frames: OnceCell::new(),
+            film_focal_mm: OnceCell::new(),
+            said_anew: Cell::new(false),
         }
     }
 
@@ -103,12 +105,16 @@ impl<'a> Run<'a> {
         self.source.info()
     }
 
+    /// Width and height of the frames, pixels.
+    pub(in crate::pipeline) fn size(&self) -> (u32, u32) {
+        (self.info().width, self.info().height)
+    }
+
     /// The chosen frames; the stage `frames` must be done.
     pub(in crate::pipeline) fn frames(&self) -> Result<&[Frame], PipelineError> {
         if self.frames.get().is_none() {
-            let frames: Vec<Frame> = self.workspace.read_state("frames-list.json")?;
-            let frames = intermediate::checked_frames(frames)
-                .map_err(|flaw| intermediate::damaged(&self.workspace.state("frames-list.json"), flaw))?;
+            let frames = intermediate::checked_frames(self.workspace.read_state(FRAMES)?)
+                .map_err(|flaw| intermediate::damaged(&self.workspace.state(FRAMES), flaw))?;
             let _ = self.frames.set(frames);
         }
         Ok(self.frames.get().map_or(&[], Vec::as_slice))
@@ -176,6 +182,17 @@ impl<'a> Run<'a> {
         self.workspace.set_marker(stage, &marker)?;
         self.records.push(StageRecord { stage, marker, reused: false });
         Ok(())
+    }
+
+    /// Writes a value of the run's own for later stages, as an output of the stage at work.
+    pub(in crate::pipeline) fn keep(
+        &self,
+        name: &str,
+        value: &impl Serialize,
+        outcome: &mut Outcome,
+    ) -> Result<(), PipelineError> {
+        outcome.outputs.push(self.workspace.state(name));
+        self.workspace.write_state(name, value)
     }
 
     /// Folder for intermediate files of a stage of this run.

@@ -10,6 +10,7 @@ use serde::{Deserialize, Serialize};
 
 use super::cost::Cost;
 use super::fingerprint;
+use super::intermediate::damaged;
 use crate::files;
 use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::{PipelineError, Stage};
@@ -55,6 +56,12 @@ pub struct Marker {
     /// Files and folders that belong to the result, relative to the output folder; without one of them it is made
     /// again.
     pub outputs: Vec<PathBuf>,
+}
+
+impl Marker {
+    fn is_complete(&self, output: &Path) -> bool {
+        self.outputs.iter().all(|path| output.join(path).exists())
+    }
 }
 
 impl Workspace {
@@ -147,7 +154,7 @@ impl Workspace {
 
     /// A file of the run's own, of which nothing public hangs.
     pub fn state(&self, name: &str) -> PathBuf {
-        self.root().join(RunFolder::STATE).join(name)
+        state_of(self.root(), name)
     }
 
     /// The folder of objects' models that are not yet compared with the masks; there only while that is to be done.
@@ -162,17 +169,12 @@ impl Workspace {
 
     /// Says that a stage is done. Everything that it made must be in its place before.
     pub fn set_marker(&self, stage: Stage, marker: &Marker) -> Result<(), PipelineError> {
-        Ok(atomic::write_json(&self.state(&marker_name(stage)), marker)?)
+        self.write_state(&marker_name(stage), marker)
     }
 
     /// Says that a stage is not done. To be called before its results are touched.
     pub fn clear_marker(&self, stage: Stage) -> Result<(), PipelineError> {
         Ok(atomic::remove(&self.state(&marker_name(stage)))?)
-    }
-
-    /// Takes a file of the run's own away for good.
-    pub(in crate::pipeline) fn remove_record(&self, name: &str) -> Result<(), PipelineError> {
-        Ok(atomic::remove(&self.state(name))?)
     }
 
     /// Returns true if a process uses an output folder.
@@ -182,14 +184,12 @@ impl Workspace {
 
     /// Returns true if a stage is marked as done in an output folder and all its outputs exist.
     pub(in crate::pipeline) fn has_results_of(output: &Path, stage: Stage) -> bool {
-        let path = output.join(RunFolder::STATE).join(marker_name(stage));
-        let marker: Option<Marker> = files::read(&path).ok().and_then(|bytes| serde_json::from_slice(&bytes).ok());
-        marker.is_some_and(|marker| marker.outputs.iter().all(|path| output.join(path).exists()))
+        read_state(output, &marker_name(stage)).is_ok_and(|marker: Marker| marker.is_complete(output))
     }
 
     /// Returns true if every output of a marked stage still exists.
     pub fn has_outputs(&self, marker: &Marker) -> bool {
-        marker.outputs.iter().all(|path| self.root().join(path).exists())
+        marker.is_complete(self.root())
     }
 
     /// Reads a value that [`Workspace::write_state`] wrote.
@@ -197,10 +197,7 @@ impl Workspace {
     /// # Errors
     /// [`PipelineError::State`] if it is missing or was changed by other hands.
     pub fn read_state<T: DeserializeOwned>(&self, name: &str) -> Result<T, PipelineError> {
-        let path = self.state(name);
-        let damaged = |reason: String| PipelineError::State { path: path.clone(), reason };
-        let bytes = files::read(&path).map_err(|e| damaged(e.to_string()))?;
-        serde_json::from_slice(&bytes).map_err(|e| damaged(e.to_string()))
+        read_state(self.root(), name)
     }
 
     /// Writes a value of the run's own.
@@ -235,6 +232,18 @@ impl Workspace {
     pub fn remove_state(&self, path: &Path) -> Result<(), PipelineError> {
         Ok(atomic::remove_folder(path)?)
     }
+}
+
+/// Path of a file of the run's own in an output folder.
+pub(in crate::pipeline) fn state_of(output: &Path, name: &str) -> PathBuf {
+    output.join(RunFolder::STATE).join(name)
+}
+
+/// As [`Workspace::read_state`], from an output folder that nobody need have for itself.
+pub(in crate::pipeline) fn read_state<T: DeserializeOwned>(output: &Path, name: &str) -> Result<T, PipelineError> {
+    let path = state_of(output, name);
+    let bytes = files::read(&path).map_err(|error| damaged(&path, error))?;
+    serde_json::from_slice(&bytes).map_err(|error| damaged(&path, error))
 }
 
 fn marker_name(stage: Stage) -> String {

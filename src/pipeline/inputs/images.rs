@@ -1,27 +1,28 @@
 //! Iteration over the images of a run, for all stages.
 
+use std::collections::BTreeSet;
+
 use ::image::RgbImage;
 
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{Frame, Topic};
-use crate::video::{Frames, VideoError};
+use crate::scene::{Frame, FrameId, Topic};
+use crate::video::VideoError;
 
-/// Calls `process` for every image, with a step of the stage's progress each. A frame that cannot be decoded is
+/// Calls `process` for every wanted image, with a step of the stage's progress each. A frame that cannot be decoded is
 /// skipped, with a warning by the first stage that meets it.
-///
-/// * `frames` – with their number.
 ///
 /// # Errors
 /// Those of `process`; a frame that cannot be decoded because of the machine, which must not become a result.
 pub(in crate::pipeline) fn for_each(
     run: &Run,
     stage: Stage,
-    (frames, number): (Frames, usize),
+    wanted: BTreeSet<FrameId>,
     outcome: &mut Outcome,
     mut process: impl FnMut(Frame, RgbImage) -> Result<(), PipelineError>,
 ) -> Result<(), PipelineError> {
-    run.progress.begin(stage.name(), Some(number as u64));
+    let frames = run.source.frames_at(wanted.clone())?;
+    run.progress.begin(stage.name(), Some(wanted.len() as u64));
     for item in frames {
         match item {
             Ok((frame, picture)) => process(frame, picture)?,

@@ -40,10 +40,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         wanted.map(|id| (id, FrontEnd::new(&sfm_options.front_end, camera))).collect();
 
     let frames = run.frames()?;
-    let visible = frames.iter().filter(|frame| objects.iter().any(|object| object.frames.contains(&frame.id)));
-    let visible: std::collections::BTreeSet<_> = visible.map(|frame| frame.id).collect();
-    let frames = (run.source.frames_at(visible.clone())?, visible.len());
-    images::for_each(run, Stage::Follow, frames, &mut outcome, |frame, picture| {
+    let visible = frames.iter().filter(|frame| objects.iter().any(|object| object.is_visible_in(frame.id)));
+    let visible = visible.map(|frame| frame.id).collect();
+    images::for_each(run, Stage::Follow, visible, &mut outcome, |frame, picture| {
         let picture = Picture::new(&picture);
         for (id, mask) in track::masks_of(run, &objects, &frame)? {
             if let Some(front_end) = front_ends.get_mut(&id) {

@@ -3,7 +3,7 @@
 use serde_json::{Value, json};
 
 use crate::pipeline::PipelineError;
-use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::run::{FRAMES, Outcome, Run};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::order;
 use crate::scene::{TimeBase, Topic};
@@ -20,8 +20,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         true => cameras::of_one_size(run.source, scan.frames),
         false => (scan.frames, Vec::new()),
     };
-    run.workspace.write_state("frames-list.json", &frames)?;
     let mut outcome = Outcome::default();
+    run.keep(FRAMES, &frames, &mut outcome)?;
     for warning in scan.warnings.into_iter().chain(left_out) {
         outcome.warn(warning);
     }
@@ -45,6 +45,6 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     if let Some(share) = order.followed_share {
         outcome.figure("followed_share", share);
     }
-    outcome.outputs.extend([run.workspace.state("frames-list.json"), run.workspace.state(order::STATE)]);
+    outcome.outputs.push(run.workspace.state(order::STATE));
     Ok(outcome)
 }

@@ -319,9 +319,8 @@ fn ground_masks(
     let is_open = |frame: &&Frame| {
         registered.contains(frame.name.as_str()) && !folder.join(RunFolder::mask_name(frame)).is_file()
     };
-    let open: BTreeSet<FrameId> = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
-    let frames = (run.source.frames_at(open.clone())?, open.len());
-    images::for_each(run, Stage::Ground, frames, outcome, |frame, picture| {
+    let open = run.frames()?.iter().filter(is_open).map(|frame| frame.id).collect();
+    images::for_each(run, Stage::Ground, open, outcome, |frame, picture| {
         Ok(masks::write_mask(&folder.join(RunFolder::mask_name(&frame)), &segmenter.ground_mask(&picture)?)?)
     })?;
     Ok(folder)

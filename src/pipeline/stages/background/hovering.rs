@@ -72,10 +72,8 @@ fn lines_of_first(run: &Run, table: &TrackTable, outcome: &mut Outcome) -> Resul
     const APART: usize = 6;
     let views = table.views.iter().filter(|view| !view.pixels.is_empty()).step_by(APART).take(NUM_VIEWS);
     let chosen: BTreeSet<FrameId> = views.map(|view| view.image.frame()).collect();
-    let number = chosen.len();
-    let frames = run.source.frames_at(chosen)?;
     let mut found = Vec::new();
-    images::for_each(run, Stage::Background, (frames, number), outcome, |frame, picture| {
+    images::for_each(run, Stage::Background, chosen, outcome, |frame, picture| {
         // OpenCV may have been built without the detector.
         found.extend(ImageLines::of(&picture, frame.id.into()).ok());
         Ok(())

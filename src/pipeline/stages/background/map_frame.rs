@@ -4,9 +4,9 @@
 
 use std::path::Path;
 
-use crate::io::{self, RunFolder};
 use crate::metric::{Kind, Offset, Support, frame_on_map, fuse};
 use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::driver::workspace::read_state;
 use crate::pipeline::inputs::alignment::{self, FittedLog};
 use crate::pipeline::inputs::telemetry::{self, Origin};
 use crate::pipeline::{PipelineError, TelemetryChoice};
@@ -17,7 +17,7 @@ const FILE: &str = "background-frame.json";
 
 /// Frame on the map of the background in an output folder of `tractrix sfm`; `None` if it has none.
 pub fn background_frame(output: &Path) -> Option<MetricFrame> {
-    io::json::read::<Option<MetricFrame>>(&output.join(RunFolder::STATE).join(FILE)).ok().flatten()
+    read_state(output, FILE).ok().flatten()
 }
 
 /// Meters of a background by its telemetry; writes their frame for [`background_frame`].

@@ -72,7 +72,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
         calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
     }
     if let Some(failure) = &mut report.failure {
-        failure.push_str(&cure_of_large_frames(run.info().width, run.info().height));
+        failure.push_str(&cure_of_large_frames(run.size()));
         failure.push_str(&failure::reasons(run)?);
         let text = format!("background not reconstructed: {failure}");
         outcome.note(Topic::BackgroundNotReconstructed.warning(text));
@@ -85,7 +85,8 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
         outcome.figure("camera_center_deviation", figures);
     }
     store(run, &run.workspace.background(), &model)?;
-    run.workspace.write_state(BACKGROUND_REPORT, &report)?;
+    outcome.outputs.push(run.workspace.background());
+    run.keep(BACKGROUND_REPORT, &report, &mut outcome)?;
     outcome.figure("num_registered", report.num_registered);
     outcome.figure("num_points", report.num_points);
     outcome.figure("num_infinite_points", report.num_infinite_points);
@@ -102,7 +103,6 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
     if report.cameras.len() > 1 {
         outcome.figure("cameras", json!(report.cameras));
     }
-    outcome.outputs.extend([run.workspace.background(), run.workspace.state(BACKGROUND_REPORT)]);
     Ok(outcome)
 }
 
@@ -152,7 +152,7 @@ fn warning_of_remark(remark: &ModelWeakness) -> Warning {
 /// Remedy where large frames gave no model; empty for others. Points are tracked within a fixed number of pixels: in
 /// larger frames those near the camera move too far between frames, and the rest are far away and have hardly any
 /// parallax.
-fn cure_of_large_frames(width: u32, height: u32) -> String {
+fn cure_of_large_frames((width, height): (u32, u32)) -> String {
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
         true => {
@@ -340,7 +340,7 @@ mod tests {
 
     #[test]
     fn large_frames_have_a_cure() {
-        assert!(cure_of_large_frames(1920, 1080).contains("--max-dimension 1280"));
-        assert_eq!(cure_of_large_frames(720, 1280), "");
+        assert!(cure_of_large_frames((1920, 1080)).contains("--max-dimension 1280"));
+        assert_eq!(cure_of_large_frames((720, 1280)), "");
     }
 }

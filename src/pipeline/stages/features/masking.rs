@@ -28,7 +28,7 @@ pub(in crate::pipeline) struct Masking {
 impl Masking {
     /// The stage `segment` must be done.
     pub(in crate::pipeline) fn new(run: &Run) -> Result<Self, PipelineError> {
-        let dilation_px = run.options.masking.dilation_px((run.info().width, run.info().height));
+        let dilation_px = run.options.masking.dilation_px(run.size());
         let movable = match &run.options.instances {
             Instances::None => Movable::Nothing,
             Instances::Masks(folder) => Movable::Given(MaskFolder::open(folder, run.frames()?, run.info())?),

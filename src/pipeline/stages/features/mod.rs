@@ -85,25 +85,18 @@ fn follow_background(
     if !order::found(run)?.in_time {
         background.know_positions(telemetry::positions_by_name(run));
     }
-    let frames = run.frames()?;
-    let wanted = frames.iter().map(|frame| frame.id).collect();
+    let wanted = run.frames()?.iter().map(|frame| frame.id).collect();
     let mut num_decoded = 0u64;
-    images::for_each(
-        run,
-        Stage::Features,
-        (run.source.frames_at(wanted)?, frames.len()),
-        outcome,
-        |frame, picture| {
-            let mask = masking.background(&frame, picture.dimensions())?;
-            let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
-            num_decoded += 1;
-            let picture = Picture::new(&picture);
-            if let Some(points) = &mut points {
-                points.push(&frame, &picture)?;
-            }
-            Ok(background.push_of(camera, &frame, &picture, &mask)?)
-        },
-    )?;
+    images::for_each(run, Stage::Features, wanted, outcome, |frame, picture| {
+        let mask = masking.background(&frame, picture.dimensions())?;
+        let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
+        num_decoded += 1;
+        let picture = Picture::new(&picture);
+        if let Some(points) = &mut points {
+            points.push(&frame, &picture)?;
+        }
+        Ok(background.push_of(camera, &frame, &picture, &mask)?)
+    })?;
     if num_decoded == 0 {
         // No result, which later runs would take over: memory may have been short.
         return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());

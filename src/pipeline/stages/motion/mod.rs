@@ -99,7 +99,7 @@ fn differences(
     let looks = (0u32..).zip(frames).filter(|(k, _)| schedule.is_detected(*k as usize));
     let indices: BTreeMap<FrameId, u32> = looks.map(|(k, frame)| (frame.id, k)).collect();
     let mut detector = DifferenceDetector::new(world.surroundings(run));
-    let chosen = (run.source.frames_at(indices.keys().copied().collect())?, indices.len());
+    let chosen = indices.keys().copied().collect();
     images::for_each(run, Stage::Motion, chosen, outcome, |frame, picture| {
         let Some(&index) = indices.get(&frame.id) else { return Ok(()) };
         Ok(detector.push(index, &picture).map_err(PerceptionError::from)?)
@@ -138,12 +138,7 @@ impl World {
     }
 
     fn surroundings(&self, run: &Run) -> Surroundings<'_> {
-        Surroundings {
-            size: (run.info().width, run.info().height),
-            times_s: &self.times_s,
-            views: &self.views,
-            ground: self.ground.as_ref(),
-        }
+        Surroundings { size: run.size(), times_s: &self.times_s, views: &self.views, ground: self.ground.as_ref() }
     }
 }
 

@@ -5,7 +5,6 @@
 //! became lies next to the tracks of `features`, in [`FILE_NAME`]; where it is not, `motion` follows
 //! by itself, to the same result.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -16,7 +15,7 @@ use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
 use crate::pipeline::{Instances, PipelineError, Stage};
-use crate::scene::{Frame, FrameId};
+use crate::scene::Frame;
 
 /// Prefix of the folder of the stage `features`, where the points lie that it tracked on the way.
 pub(in crate::pipeline) const FEATURES_PREFIX: &str = "features-";
@@ -42,8 +41,7 @@ pub(in crate::pipeline) struct Follower {
 impl Follower {
     /// Nothing seen yet.
     pub(in crate::pipeline) fn new(run: &Run) -> Self {
-        let size = (run.info().width, run.info().height);
-        Self { points: PointFollower::new(size), frames: Vec::new() }
+        Self { points: PointFollower::new(run.size()), frames: Vec::new() }
     }
 
     /// One that works next to the stage `features`, if `motion` comes after it in this run.
@@ -74,10 +72,8 @@ pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcom
         return intermediate::read(&beside);
     }
     let mut follower = Follower::new(run);
-    let wanted: BTreeSet<FrameId> = run.frames()?.iter().map(|frame| frame.id).collect();
-    let number = wanted.len();
-    let frames = (run.source.frames_at(wanted)?, number);
-    images::for_each(run, Stage::Motion, frames, outcome, |frame, picture| {
+    let wanted = run.frames()?.iter().map(|frame| frame.id).collect();
+    images::for_each(run, Stage::Motion, wanted, outcome, |frame, picture| {
         follower.push(&frame, &Picture::new(&picture))
     })?;
     let followed = follower.finish();

@@ -72,8 +72,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let by_points = track::movement::by_points(run)?;
     let place =
         ObjectContext { camera, hovers, background: &background, by_points, footing: Footing::new(run, &background)? };
-    run.workspace.write_state(HOVERING, &place.footing.hovering)?;
-    outcome.outputs.push(run.workspace.state(HOVERING));
+    run.keep(HOVERING, &place.footing.hovering, &mut outcome)?;
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -96,8 +95,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     run.workspace.keep_objects(&run.workspace.all_as_reconstructed(), |id| reports.contains_key(&id))?;
     let models = reports.iter().filter(|(_, report)| report.failure.is_none());
     outcome.outputs.extend(models.map(|(&id, _)| run.workspace.as_reconstructed(id)));
-    run.workspace.write_state(REPORTS, &reports)?;
-    outcome.outputs.push(run.workspace.state(REPORTS));
+    run.keep(REPORTS, &reports, &mut outcome)?;
     Ok(outcome)
 }
 

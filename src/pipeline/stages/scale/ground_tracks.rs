@@ -114,7 +114,7 @@ pub(super) fn follow(scene: &Scene, tracked: &TrackedObject) -> Result<GroundTra
     let none = BTreeMap::<_, Silhouette>::new();
     let pixels = outline_pixels(scene.outlines.get(&tracked.id).unwrap_or(&none));
     let planes = chain.planes_below(tracked.id, &pixels, &run.options.ground, run.options.seed).planes;
-    let seen = |frame: &&Frame| tracked.frames.binary_search(&frame.id).is_ok();
+    let seen = |frame: &&Frame| tracked.is_visible_in(frame.id);
     let frames: Vec<&Frame> = scene.frames.iter().filter(seen).collect();
     let turns = scene.sources.hovering.as_ref().map(|ground| ground.normal_by_focal);
     let focal = FocalError { std: scene.focal_std.unwrap_or(0.0), turns };

@@ -61,7 +61,7 @@ pub(in crate::pipeline) fn finished_boxes(run: &Run) -> BoxFolder {
 }
 
 fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {
-    DetectionFolder::new(folder, (run.info().width, run.info().height))
+    DetectionFolder::new(folder, run.size())
 }
 
 /// Loads the user's network with the options of the run.
@@ -116,8 +116,8 @@ fn search<'a, T: Serialize + DeserializeOwned>(
     for frame in done {
         found += store.read(frame.id)?.len();
     }
-    let frames = (run.source.frames_at(open.iter().map(|frame| frame.id).collect())?, open.len());
-    images::for_each(run, Stage::Segment, frames, outcome, |frame, picture| {
+    let open = open.iter().map(|frame| frame.id).collect();
+    images::for_each(run, Stage::Segment, open, outcome, |frame, picture| {
         let things = look(&picture)?;
         found += things.len();
         store.write(&frame, &things)

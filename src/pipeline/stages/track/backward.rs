@@ -10,7 +10,7 @@ use std::path::Path;
 use ::image::RgbImage;
 
 use super::detected::{Finds, Followed};
-use crate::io::{RunFolder, masks};
+use crate::io::masks;
 use crate::networks::FlowEstimator;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
@@ -37,13 +37,11 @@ pub(super) fn extend(
     let picture_bytes = 3 * run.info().width as usize * run.info().height as usize;
     let most = (WINDOW_BYTES / picture_bytes.max(1)).clamp(2, MAX_WINDOW);
     let windows = windows(&starts, most);
-    let wanted: BTreeSet<FrameId> =
-        windows.iter().flat_map(|window| frames[window.clone()].iter().map(|frame| frame.id)).collect();
+    let wanted = windows.iter().flat_map(|window| frames[window.clone()].iter().map(|frame| frame.id)).collect();
     let mut flow = super::load_flow_estimator(run)?;
     let mut open = windows.into_iter().peekable();
     let mut gathered: Vec<(Frame, RgbImage)> = Vec::new();
-    let passed = (run.source.frames_at(wanted.clone())?, wanted.len());
-    images::for_each(run, Stage::Track, passed, outcome, |frame, picture| {
+    images::for_each(run, Stage::Track, wanted, outcome, |frame, picture| {
         let at = index.get(&frame.id).copied().unwrap_or_default();
         while open.next_if(|window| *window.end() < at).is_some() {
             gathered.clear();
@@ -108,8 +106,7 @@ fn follow_back(
         let is_sure = extensions.get(&mask.object).is_some_and(|extension| extension.first <= frame.id);
         let object = followed.iter_mut().map(|f| &mut f.object).find(|object| object.id == mask.object);
         if let (true, Some(object)) = (is_sure, object) {
-            let path = folder.join(object.id.to_string()).join(RunFolder::mask_name(&frame));
-            masks::write_mask(&path, &mask.mask)?;
+            masks::write_mask(&super::mask_path(folder, object.id, &frame), &mask.mask)?;
             add(object, &frame, &mask);
         }
     }

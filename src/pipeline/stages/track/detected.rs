@@ -122,8 +122,8 @@ pub(super) fn follow(
     let mut previous: Option<RgbImage> = None;
     let mut seen: BTreeMap<ObjectId, BTreeSet<FrameId>> = BTreeMap::new();
     let mut index = 0;
-    let chosen = (run.source.frames_at(names.keys().copied().collect())?, frames.len());
-    images::for_each(run, Stage::Track, chosen, outcome, |frame, picture| {
+    let wanted = names.keys().copied().collect();
+    images::for_each(run, Stage::Track, wanted, outcome, |frame, picture| {
         let near = |previous| flow.flow(previous, &picture, &tracker.places());
         let carried = previous.as_ref().map(near).transpose()?;
         let look = finds.look(run, index, &frame)?;

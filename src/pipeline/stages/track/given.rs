@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::io::{RunFolder, masks};
+use crate::io::masks;
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
@@ -32,7 +32,7 @@ pub(super) fn split(
         let Some(labels) = files.labels(frame.id)? else { continue };
         for label in labels.present() {
             let id = ObjectId(label.into());
-            masks::write_mask(&folder.join(id.to_string()).join(RunFolder::mask_name(frame)), &labels.mask(label))?;
+            masks::write_mask(&super::mask_path(folder, id, frame), &labels.mask(label))?;
             seen.entry(id).or_default().push(frame.id);
         }
     }

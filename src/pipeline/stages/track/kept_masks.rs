@@ -29,7 +29,7 @@ pub(super) struct KeptMasks {
 
 impl KeptMasks {
     fn new(run: &Run, folder: PathBuf) -> Self {
-        Self { frames: FrameFolder::new(folder), size: (run.info().width, run.info().height) }
+        Self { frames: FrameFolder::new(folder), size: run.size() }
     }
 
     /// Those of the stage, which must be done.
@@ -63,7 +63,7 @@ impl KeptMasks {
         objects: &[TrackedObject],
         frame: &Frame,
     ) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
-        let seen = objects.iter().filter(|object| object.frames.binary_search(&frame.id).is_ok());
+        let seen = objects.iter().filter(|object| object.is_visible_in(frame.id));
         let wanted: Vec<ObjectId> = seen.map(|object| object.id).collect();
         if wanted.is_empty() {
             return Ok(Vec::new());

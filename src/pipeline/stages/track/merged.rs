@@ -11,14 +11,15 @@ use std::path::Path;
 
 use super::detected::Followed;
 use super::end_motion::{EndMotion, Ground, Side, Spot, course, near};
+use super::mask_path;
 use crate::features::matching::{MatchOptions, match_features};
 use crate::features::rootsift::{FeatureOptions, Features, extract};
-use crate::io::{IoError, RunFolder, masks};
+use crate::io::IoError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
 use crate::pipeline::stages::motion;
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{Frame, FrameId, Gap, IdentityEvidence, Mask, ObjectId, UnmergedTrack};
+use crate::scene::{Frame, FrameId, Gap, IdentityEvidence, ObjectId, UnmergedTrack};
 use crate::tracking::merging::{Colours, Joints, Pair, Span, agreeing, join, may_be_one};
 
 /// Seconds for which an object may be away.
@@ -176,17 +177,12 @@ fn piece(
     let end = |side: Side| -> Result<Option<EndMotion>, PipelineError> {
         let mut spots = Vec::new();
         for (id, time_s) in near(&seen, side) {
-            spots.extend(Spot::of(id, time_s, &mask_of(run, folder, object.id, &frames[index[&id]])?));
+            spots.extend(Spot::of(id, time_s, &super::mask_in(run, folder, object.id, &frames[index[&id]])?));
         }
         Ok(course(&spots, ground))
     };
     let (beginning, end) = (end(Side::Beginning)?, end(Side::End)?);
     Ok(Some(Piece { span: (first.0, last.0), times_s: (first.1, last.1), beginning, end }))
-}
-
-fn mask_of(run: &Run, folder: &Path, object: ObjectId, frame: &Frame) -> Result<Mask, PipelineError> {
-    let path = folder.join(object.to_string()).join(RunFolder::mask_name(frame));
-    Ok(masks::read_mask(&path, (run.info().width, run.info().height))?)
 }
 
 /// Features of each view, by track and frame.
@@ -198,12 +194,11 @@ fn looks(
     outcome: &mut Outcome,
 ) -> Result<BTreeMap<(usize, FrameId), ViewFeatures>, PipelineError> {
     let views = candidates.views();
-    let wanted: BTreeSet<FrameId> = views.values().flatten().copied().collect();
+    let wanted = views.values().flatten().copied().collect();
     let mut looks = BTreeMap::new();
-    let frames = (run.source.frames_at(wanted.clone())?, wanted.len());
-    images::for_each(run, Stage::Track, frames, outcome, |frame, picture| {
+    images::for_each(run, Stage::Track, wanted, outcome, |frame, picture| {
         for (&piece, _) in views.iter().filter(|(_, frames)| frames.contains(&frame.id)) {
-            let mask = mask_of(run, folder, followed[piece].object.id, &frame)?;
+            let mask = super::mask_in(run, folder, followed[piece].object.id, &frame)?;
             let features = extract(&picture, &mask, &FeatureOptions::object())?;
             looks.insert((piece, frame.id), ViewFeatures { features, colours: Colours::of(&picture, &mask) });
         }
@@ -287,10 +282,9 @@ fn move_masks(
     frames: &[FrameId],
     names: &BTreeMap<FrameId, &Frame>,
 ) -> Result<(), PipelineError> {
-    let path = |id: ObjectId, frame: &Frame| folder.join(id.to_string()).join(RunFolder::mask_name(frame));
     for frame in frames.iter().filter_map(|id| names.get(id)) {
-        let source = path(from, frame);
-        std::fs::rename(&source, path(to, frame)).map_err(IoError::system("rename", &source))?;
+        let source = mask_path(folder, from, frame);
+        std::fs::rename(&source, mask_path(folder, to, frame)).map_err(IoError::system("rename", &source))?;
     }
     Ok(())
 }

@@ -10,7 +10,7 @@ mod merged;
 pub(in crate::pipeline) mod movement;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
@@ -142,10 +142,18 @@ fn masks_in(
     objects: &[TrackedObject],
     frame: &Frame,
 ) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
-    let size = (run.info().width, run.info().height);
-    let seen = objects.iter().filter(|object| object.frames.binary_search(&frame.id).is_ok());
-    let path = |object: &TrackedObject| folder.join(object.id.to_string()).join(RunFolder::mask_name(frame));
-    seen.map(|object| Ok((object.id, masks::read_mask(&path(object), size)?))).collect()
+    let seen = objects.iter().filter(|object| object.is_visible_in(frame.id));
+    seen.map(|object| Ok((object.id, mask_in(run, folder, object.id, frame)?))).collect()
+}
+
+/// One of these masks.
+fn mask_in(run: &Run, folder: &Path, id: ObjectId, frame: &Frame) -> Result<Mask, PipelineError> {
+    Ok(masks::read_mask(&mask_path(folder, id, frame), run.size())?)
+}
+
+/// Where the mask of an object lies in a folder of masks.
+fn mask_path(folder: &Path, id: ObjectId, frame: &Frame) -> PathBuf {
+    folder.join(id.to_string()).join(RunFolder::mask_name(frame))
 }
 
 /// The optical flow of the run's options.

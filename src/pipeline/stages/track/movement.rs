@@ -82,7 +82,6 @@ pub(super) fn find(
     objects: &mut [TrackedObject],
 ) -> Result<BTreeMap<ObjectId, MaskEvidence>, PipelineError> {
     let points = motion::points(run)?;
-    let size = (run.info().width, run.info().height);
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, masks, objects, &points)? };
     let (second, hovers) = (frames_per_second(run.frames()?), background::hovers(run));
     let none = OnObject::default();
@@ -109,7 +108,7 @@ pub(super) fn find(
         let reason = is_examined.then_some(judged.reason);
         findings.insert(object.id, PointFinding { finding: object.movement.clone(), reason });
         let (num_frames, movement) = (object.frames.len(), object.movement.state);
-        let (mean_share, is_flat) = (on_it.mean_share(size), judged.is_flat);
+        let (mean_share, is_flat) = (on_it.mean_share(run.size()), judged.is_flat);
         sighted.insert(object.id, MaskEvidence { num_frames, mean_share, movement, is_flat });
     }
     run.workspace.write_state(FINDINGS, &findings)?;
