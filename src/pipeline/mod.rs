@@ -50,6 +50,9 @@ pub use stages::report::link_exports;
 use crate::io::InputIdentity;
 use crate::scene::{Movement, ObjectId, TimeBase, TrackedObject};
 use driver::run::{Outcome, Run};
+use driver::{fingerprint, run_json};
+use inputs::{cameras, given_models, preflight};
+use stages::{background, features, follow, frames, ground, metric, motion, objects, report, scale, segment, track};
 
 /// Summary of a run.
 #[derive(Clone, Debug)]
@@ -122,18 +125,18 @@ pub struct Job<'a> {
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError> {
     let Job { options, goal, .. } = *job;
     options.check()?;
-    crate::pipeline::stages::metric::check(options)?;
+    metric::check(options)?;
     Workspace::inspect(job.output, &job.inputs())?;
     for (flag, path) in options.named_models() {
-        Workspace::inspect(job.output, &[(flag, crate::pipeline::inputs::given_models::place(path).as_path())])?;
+        Workspace::inspect(job.output, &[(flag, given_models::place(path).as_path())])?;
     }
-    let source = crate::pipeline::inputs::cameras::open(job.input, options)?;
-    crate::pipeline::inputs::preflight::check_pictures(&source, options)?;
+    let source = cameras::open(job.input, options)?;
+    preflight::check_pictures(&source, options)?;
     let workspace = Workspace::open(job.output)?;
     let identity = Identity::of(job.input, options);
     progress.plan(&Plan::new(&workspace, options, source.info(), goal));
     progress.begin("input", None);
-    let content = crate::pipeline::driver::fingerprint::of_content(source.path());
+    let content = fingerprint::of_content(source.path());
     progress.end();
     let content = content?;
     let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
@@ -143,7 +146,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
     let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
     let result = stages(&mut run, goal, &content, &muted).and_then(|()| page_of_models(&run));
     let error = result.as_ref().err().map(ToString::to_string);
-    let written = crate::pipeline::driver::run_json::write(&run, error.as_deref());
+    let written = run_json::write(&run, error.as_deref());
     // What went wrong first says what to do: on a full disk it names the file that did not fit.
     result?;
     written?;
@@ -159,7 +162,7 @@ fn page_of_models(run: &Run) -> Result<(), PipelineError> {
         return Ok(());
     }
     run.workspace.clear_marker(Stage::Report)?;
-    crate::pipeline::stages::report::write_models(run)
+    report::write_models(run)
 }
 
 /// Says that nothing is left to be done, unless there is, or a file has changed since the run began.
@@ -172,9 +175,7 @@ fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summar
 }
 
 fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
-    let background = (job.goal >= Stage::Background)
-        .then(|| crate::pipeline::stages::background::background_report(&run))
-        .transpose()?;
+    let background = (job.goal >= Stage::Background).then(|| background::background_report(&run)).transpose()?;
     let vehicles = vehicles(&run, job.goal)?;
     let (output, warnings, num_frames) = (job.output.to_owned(), run.warnings(), run.frames()?.len());
     let time_base = run.info().time_base();
@@ -186,15 +187,14 @@ fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>, Pipel
         return Ok(BTreeMap::new());
     }
     let mut tracked: BTreeMap<ObjectId, TrackedObject> =
-        crate::pipeline::stages::track::objects(run)?.into_iter().map(|object| (object.id, object)).collect();
-    let mut failures =
-        if goal >= Stage::Scale { crate::pipeline::stages::scale::failures(run)? } else { BTreeMap::new() };
+        run.workspace.read_tracked()?.into_iter().map(|object| (object.id, object)).collect();
+    let mut failures = if goal >= Stage::Scale { scale::failures(run)? } else { BTreeMap::new() };
     let vehicle = |(id, model): (ObjectId, ModelReport)| {
         let (class, movement) = tracked.remove(&id).map(|found| (found.class, found.movement.state)).unzip();
-        let not_placed = failures.remove(&id.to_string());
+        let not_placed = failures.remove(&id);
         (id, Vehicle { class: class.unwrap_or_default(), movement, model, not_placed })
     };
-    Ok(crate::pipeline::stages::objects::reports(run)?.into_iter().map(vehicle).collect())
+    Ok(objects::reports(run)?.into_iter().map(vehicle).collect())
 }
 
 impl Job<'_> {
@@ -209,15 +209,13 @@ impl Job<'_> {
 
 fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<(), PipelineError> {
     run.goal = goal;
-    crate::pipeline::inputs::preflight::check_camera(run)?;
+    preflight::check_camera(run)?;
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
         one_stage(run, stage, input)?;
         match stage {
-            Stage::Frames => crate::pipeline::inputs::preflight::check_files(run, &open_stages(run, goal, input)?)?,
+            Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
             // Without a background later stages write down that there is nothing, which is not worth a word.
-            Stage::Track if crate::pipeline::stages::background::background_report(run)?.failure.is_some() => {
-                run.progress = muted
-            }
+            Stage::Track if background::background_report(run)?.failure.is_some() => run.progress = muted,
             _ => {}
         }
     }
@@ -236,17 +234,17 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineErr
 /// Everything that a stage's result depends on besides the stages before it.
 fn cache_key(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
     Ok(match stage {
-        Stage::Frames => crate::pipeline::stages::frames::cache_key(run, input),
-        Stage::Segment => crate::pipeline::stages::segment::cache_key(run)?,
-        Stage::Features => crate::pipeline::stages::features::cache_key(run)?,
-        Stage::Background => crate::pipeline::stages::background::background_cache_key(run)?,
-        Stage::Motion => crate::pipeline::stages::motion::cache_key(run)?,
-        Stage::Track => crate::pipeline::stages::track::cache_key(run)?,
-        Stage::Follow => crate::pipeline::stages::follow::cache_key(run)?,
-        Stage::Objects => crate::pipeline::stages::objects::cache_key(run)?,
-        Stage::Ground => crate::pipeline::stages::ground::cache_key(run)?,
-        Stage::Scale => crate::pipeline::stages::scale::cache_key(run),
-        Stage::Metric => crate::pipeline::stages::metric::cache_key(run),
+        Stage::Frames => frames::cache_key(run, input),
+        Stage::Segment => segment::cache_key(run)?,
+        Stage::Features => features::cache_key(run)?,
+        Stage::Background => background::background_cache_key(run)?,
+        Stage::Motion => motion::cache_key(run)?,
+        Stage::Track => track::cache_key(run)?,
+        Stage::Follow => follow::cache_key(run)?,
+        Stage::Objects => objects::cache_key(run)?,
+        Stage::Ground => ground::cache_key(run)?,
+        Stage::Scale => scale::cache_key(run),
+        Stage::Metric => metric::cache_key(run),
         Stage::Report => json!({ "arguments": run.arguments }),
     })
 }
@@ -254,30 +252,30 @@ fn cache_key(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineErro
 /// Prefixes of the folders in which a stage keeps intermediate files, by the options that it works with.
 fn intermediates(stage: Stage) -> &'static [&'static str] {
     match stage {
-        Stage::Segment => &[crate::pipeline::stages::segment::MASKS, crate::pipeline::stages::segment::BOXES],
-        Stage::Features => &[crate::pipeline::stages::features::PREFIX],
-        Stage::Motion => &[crate::pipeline::stages::motion::PREFIX],
-        Stage::Track => &[crate::pipeline::stages::track::ANSWERS],
-        Stage::Follow => &[crate::pipeline::stages::follow::PREFIX],
-        Stage::Ground => &[crate::pipeline::stages::ground::MASKS],
+        Stage::Segment => &[segment::MASKS, segment::BOXES],
+        Stage::Features => &[features::PREFIX],
+        Stage::Motion => &[motion::PREFIX],
+        Stage::Track => &[track::ANSWERS],
+        Stage::Follow => &[follow::PREFIX],
+        Stage::Ground => &[ground::MASKS],
         Stage::Frames | Stage::Background | Stage::Objects | Stage::Scale | Stage::Metric | Stage::Report => &[],
     }
 }
 
 fn run_stage(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
     match stage {
-        Stage::Frames => crate::pipeline::stages::frames::run_stage(run),
-        Stage::Segment => crate::pipeline::stages::segment::run_stage(run, fingerprint),
-        Stage::Features => crate::pipeline::stages::features::run_stage(run, fingerprint),
-        Stage::Background => crate::pipeline::stages::background::run_background(run),
-        Stage::Motion => crate::pipeline::stages::motion::run_stage(run, fingerprint),
-        Stage::Track => crate::pipeline::stages::track::run_stage(run, fingerprint),
-        Stage::Follow => crate::pipeline::stages::follow::run_stage(run, fingerprint),
-        Stage::Objects => crate::pipeline::stages::objects::run_stage(run, fingerprint),
-        Stage::Ground => crate::pipeline::stages::ground::run_stage(run, fingerprint),
-        Stage::Scale => crate::pipeline::stages::scale::run_stage(run),
-        Stage::Metric => crate::pipeline::stages::metric::run_stage(run),
-        Stage::Report => crate::pipeline::stages::report::run_stage(run),
+        Stage::Frames => frames::run_stage(run),
+        Stage::Segment => segment::run_stage(run, fingerprint),
+        Stage::Features => features::run_stage(run, fingerprint),
+        Stage::Background => background::run_background(run),
+        Stage::Motion => motion::run_stage(run, fingerprint),
+        Stage::Track => track::run_stage(run, fingerprint),
+        Stage::Follow => follow::run_stage(run, fingerprint),
+        Stage::Objects => objects::run_stage(run, fingerprint),
+        Stage::Ground => ground::run_stage(run, fingerprint),
+        Stage::Scale => scale::run_stage(run),
+        Stage::Metric => metric::run_stage(run),
+        Stage::Report => report::run_stage(run),
     }
 }
 
@@ -292,8 +290,7 @@ fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, Pipeli
     let mut open = Vec::new();
     for stage in stages {
         let upstream: Vec<&str> = stage.after().iter().map(|before| fingerprints[before].as_str()).collect();
-        let fingerprint =
-            crate::pipeline::driver::fingerprint::of_stage(stage, &cache_key(run, stage, input)?, &upstream);
+        let fingerprint = fingerprint::of_stage(stage, &cache_key(run, stage, input)?, &upstream);
         if !run.is_done(stage, &fingerprint) {
             open.push(stage);
         }

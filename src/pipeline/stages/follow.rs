@@ -29,7 +29,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
 
 pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let objects = track::objects(run)?;
+    let objects = run.workspace.read_tracked()?;
     track::check_ids(run, &objects, &mut outcome)?;
     let camera = cameras::first(run)?.camera;
     let (_, sfm_options) = order::sfm_options(run)?;

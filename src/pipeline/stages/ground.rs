@@ -21,8 +21,6 @@ use crate::pipeline::inputs::networks::of_networks;
 use crate::pipeline::{GroundLabels, Options, PipelineError, Stage};
 use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic, Warning};
 
-/// The name of the list of frames that have no plane, and why.
-const SKIPPED: &str = "ground-skipped.json";
 /// The name of the sources of planes, for vehicles whose planes are wanted later.
 const SOURCES: &str = "ground-sources.json";
 /// Prefix of the folder of masks that the user's network found.
@@ -46,7 +44,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
 }
 
 /// Assumptions on the shape of vehicles.
-pub(in crate::pipeline) fn body_shape(options: &Options) -> BodyShape {
+pub(super) fn body_shape(options: &Options) -> BodyShape {
     let contact = &options.scale.joint.contact;
     BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
 }
@@ -55,11 +53,10 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let mut outcome = Outcome::default();
     let (background, _) = background::background(run)?;
     let found = match background.is_empty() {
-        true => GroundResults::nothing(),
+        true => GroundResults::default(),
         false => find(run, &background, fingerprint, &mut outcome)?,
     };
     let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
-    let mut skipped: BTreeMap<String, BTreeMap<FrameId, String>> = BTreeMap::new();
     let mut bases: BTreeMap<String, BTreeMap<&str, usize>> = BTreeMap::new();
     let chain = found.chain(&background, run.options);
     for (id, report) in objects::reports(run)? {
@@ -73,8 +70,6 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         let counts = bases.entry(id.to_string()).or_default();
         found.planes.values().for_each(|plane| *counts.entry(plane.basis.name()).or_default() += 1);
         ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), plane)));
-        let reasons = found.skipped.into_iter().map(|skip| (skip.frame, skip.reason.to_string())).collect();
-        skipped.insert(id.to_string(), reasons);
     }
     outcome.figure("source", json!(ground.source));
     outcome.figure("num_points", ground.point_ids.len());
@@ -108,28 +103,23 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     }
     let path = run.workspace.ground();
     run.workspace.put_file(&path, |fresh| crate::io::ground::write(fresh, &ground))?;
-    run.workspace.write_state(SKIPPED, &skipped)?;
-    run.workspace.write_state(SOURCES, &found)?;
-    outcome.outputs.extend([path, run.workspace.state(SKIPPED), run.workspace.state(SOURCES)]);
+    outcome.outputs.push(path);
+    run.keep(SOURCES, &found, &mut outcome)?;
     Ok(outcome)
 }
 
 /// Results that the stage computes before any object.
-#[derive(Serialize, Deserialize)]
+#[derive(Default, Serialize, Deserialize)]
 pub(in crate::pipeline) struct GroundResults {
     /// Labelled points and where the labels come from.
-    labelled: Option<(GroundSource, Vec<Point3dId>)>,
-    dominant: Option<DominantPlane>,
-    mount: Option<Mount>,
+    pub(super) labelled: Option<(GroundSource, Vec<Point3dId>)>,
+    pub(super) dominant: Option<DominantPlane>,
+    pub(super) mount: Option<Mount>,
     /// Below a camera that does not translate.
     pub(in crate::pipeline) hovering: Option<HoveringGround>,
 }
 
 impl GroundResults {
-    fn nothing() -> Self {
-        Self { labelled: None, dominant: None, mount: None, hovering: None }
-    }
-
     fn source(&self) -> GroundSource {
         self.labelled.as_ref().map_or(GroundSource::Geometric, |(source, _)| *source)
     }
@@ -176,12 +166,12 @@ fn find(
             }
             Some(ground) => ground.contradictions.iter().for_each(|found| outcome.warn(contradiction(found))),
         }
-        return Ok(GroundResults { hovering, ..GroundResults::nothing() });
+        return Ok(GroundResults { hovering, ..GroundResults::default() });
     }
     let labelled = labelled_points(run, background, fingerprint, outcome)?;
     let options = &run.options.ground;
     if options.labels_only {
-        return Ok(GroundResults { labelled, ..GroundResults::nothing() });
+        return Ok(GroundResults { labelled, ..GroundResults::default() });
     }
     let dominant = match dominant_plane_points(background, options, run.options.seed) {
         Ok(plane) => Some(plane),
@@ -211,11 +201,6 @@ fn contradiction(found: &TiltContradiction) -> Warning {
         found.angle.to_degrees(),
         found.deviations
     ))
-}
-
-/// The ground; the stage must be done.
-pub(in crate::pipeline) fn ground(run: &Run) -> Result<Ground, PipelineError> {
-    Ok(run.workspace.read_ground()?)
 }
 
 /// The sources of planes; the stage must be done.

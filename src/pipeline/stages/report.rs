@@ -64,7 +64,7 @@ struct RunJson {
 /// # Errors
 /// A file that cannot be read or written.
 pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> {
-    let tracked = track::objects(run)?;
+    let tracked = run.workspace.read_tracked()?;
     let (background, background_report) = background::background(run)?;
     let reports = objects::reports(run)?;
     // Objects are adjusted with the ground later, if ever.
@@ -146,12 +146,12 @@ fn title(run: &Run) -> String {
 }
 
 pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
-    let tracked = track::objects(run)?;
+    let tracked = run.workspace.read_tracked()?;
     let (background, background_report) = background::background(run)?;
     let reports = objects::reports(run)?;
     let object_models = object_models(&reports, |id| run.workspace.read_object(id))?;
-    let trajectories = scale::trajectories(run)?;
-    let ground = ground::ground(run)?;
+    let trajectories = run.workspace.read_trajectories()?;
+    let ground = run.workspace.read_ground()?;
     let failures = scale::failures(run)?;
     let evaluation = evaluation(run)?;
     let data = Data {
@@ -187,7 +187,7 @@ fn objects<'a>(
     reports: &BTreeMap<ObjectId, ModelReport>,
     models: &'a BTreeMap<ObjectId, Reconstruction>,
     trajectories: &'a Trajectories,
-    failures: &BTreeMap<String, String>,
+    failures: &BTreeMap<ObjectId, String>,
     ratios: impl Fn(ObjectId, &Reconstruction) -> Vec<(FrameId, f64)>,
 ) -> Vec<Object<'a>> {
     let object = |tracked: &'a TrackedObject| {
@@ -206,7 +206,7 @@ fn objects<'a>(
             trajectory,
             ground_track: trajectories.ground_track(tracked.id),
             ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
-            failure: failure.or_else(|| failures.get(&tracked.id.to_string()).cloned()),
+            failure: failure.or_else(|| failures.get(&tracked.id).cloned()),
         }
     };
     tracked.iter().map(object).collect()

@@ -7,6 +7,7 @@ mod movement;
 use std::collections::BTreeMap;
 
 use nalgebra::Matrix3;
+use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::background::ModelReport;
@@ -32,14 +33,11 @@ use movement::TrajectoryEvidence;
 /// The name of the trajectories as this stage leaves them, in units of the background.
 const IN_UNITS: &str = "scale-trajectories.json";
 
-/// The name of the objects' sizes, in units of the background.
-const SIZES: &str = "scale-sizes.json";
-
-/// The name of the covariances of the objects' positions in single frames, in units of the background.
-const POSES: &str = "scale-poses.json";
-
 /// The name of the list of objects without a trajectory, and why.
 const FAILURES: &str = "scale-failures.json";
+
+/// The name of the other results for later stages.
+const RESULTS: &str = "scale-results.json";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
     json!({ "options": run.options.scale })
@@ -51,7 +49,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let reports = objects::reports(run)?;
     clear(run, &reports)?;
     outcome.outputs.push(point_cloud::background(run, &background)?);
-    let mut tracked = track::objects(run)?;
+    let mut tracked = run.workspace.read_tracked()?;
     let scene = Scene::read(run, &background, &reports, &tracked)?;
     let mut found = ScaleContext::default();
     for tracked in &mut tracked {
@@ -89,11 +87,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     all.ground_tracks = ground_tracks::decided(all.ground_tracks, &all.objects);
     outcome.figure("num_ground_tracks", all.ground_tracks.len());
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
-    run.workspace.write_state(FAILURES, &found.failures)?;
-    run.workspace.write_state(SIZES, &found.sizes)?;
-    run.workspace.write_state(POSES, &found.pose_covariances)?;
-    let states = [IN_UNITS, FAILURES, SIZES, POSES].map(|name| run.workspace.state(name));
-    outcome.outputs.extend(states.into_iter().chain([path]));
+    run.keep(FAILURES, &found.failures, &mut outcome)?;
+    run.keep(RESULTS, &found.results, &mut outcome)?;
+    outcome.outputs.extend([run.workspace.state(IN_UNITS), path]);
     Ok(outcome)
 }
 
@@ -126,11 +122,17 @@ struct Scene<'a, 'r> {
 #[derive(Default)]
 struct ScaleContext {
     placed: Vec<PlacedVehicle>,
-    failures: BTreeMap<String, String>,
-    sizes: BTreeMap<ObjectId, Size>,
-    pose_covariances: PoseCovariances,
+    failures: BTreeMap<ObjectId, String>,
+    results: ScaleResults,
     /// Below a camera that does not translate.
     followed: Followed,
+}
+
+/// Results for later stages besides the trajectories, in units of the background.
+#[derive(Default, Serialize, Deserialize)]
+pub(in crate::pipeline) struct ScaleResults {
+    pub(in crate::pipeline) sizes: BTreeMap<ObjectId, Size>,
+    pub(in crate::pipeline) pose_covariances: PoseCovariances,
 }
 
 /// Covariances of positions in single frames, in the frame and unit of the background, without those of the ratios.
@@ -151,7 +153,7 @@ impl<'a, 'r> Scene<'a, 'r> {
         Ok(Self {
             run,
             background,
-            ground: ground::ground(run)?,
+            ground: run.workspace.read_ground()?,
             sources,
             frames,
             focal_std: background::focal_deviation(run)?.filter(|_| !is_mapped),
@@ -266,7 +268,7 @@ impl<'a, 'r> Scene<'a, 'r> {
                 outcome.outputs.push(point_cloud::object(run, &trajectory, &placed.object)?);
                 warn_of_scale(&trajectory, outcome);
                 warn_of_dropped(tracked.id, &placed.dropped, outcome);
-                found.pose_covariances.insert(tracked.id, placed.pose_covariances);
+                found.results.pose_covariances.insert(tracked.id, placed.pose_covariances);
                 let subject = Subject {
                     trajectory: &trajectory,
                     object: &placed.object,
@@ -276,13 +278,13 @@ impl<'a, 'r> Scene<'a, 'r> {
                     options: &run.options.scale,
                 };
                 let Extents { length, width, height, center } = extents(&subject);
-                found.sizes.insert(tracked.id, Size { length, width, height });
+                found.results.sizes.insert(tracked.id, Size { length, width, height });
                 let tracked = tracked.clone();
                 found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, level, center });
             }
             Err(reason) => {
                 outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
-                found.failures.insert(tracked.id.to_string(), reason.to_string());
+                found.failures.insert(tracked.id, reason.to_string());
             }
         }
         Ok(())
@@ -371,30 +373,20 @@ fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outc
     }
 }
 
-/// The trajectories, with their metres after the stage `metric`; this stage must be done.
-pub(in crate::pipeline) fn trajectories(run: &Run) -> Result<Trajectories, PipelineError> {
-    Ok(run.workspace.read_trajectories()?)
-}
-
 /// The trajectories in units of the background, without metres, and the ground tracks of all vehicles that may need
 /// one; the stage must be done.
 pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
 }
 
-/// Sizes of the objects, in units of the background; the stage must be done.
-pub(in crate::pipeline) fn sizes(run: &Run) -> Result<BTreeMap<ObjectId, Size>, PipelineError> {
-    run.workspace.read_state(SIZES)
-}
-
-/// Covariances of the objects' positions in single frames; the stage must be done.
-pub(in crate::pipeline) fn pose_covariances(run: &Run) -> Result<PoseCovariances, PipelineError> {
-    run.workspace.read_state(POSES)
-}
-
-/// Why objects have no trajectory although they have a model, by id; the stage must be done.
-pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<String, String>, PipelineError> {
+/// Why objects have no trajectory although they have a model; the stage must be done.
+pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<ObjectId, String>, PipelineError> {
     run.workspace.read_state(FAILURES)
+}
+
+/// The other results; the stage must be done.
+pub(in crate::pipeline) fn results(run: &Run) -> Result<ScaleResults, PipelineError> {
+    run.workspace.read_state(RESULTS)
 }
 
 /// The outlines of objects.

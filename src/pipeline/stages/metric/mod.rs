@@ -16,7 +16,8 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
-use super::{background, scale, track};
+use super::background;
+use super::scale::{self, ScaleResults};
 use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
 use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
@@ -68,8 +69,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     let mut outcome = Outcome::default();
     let (background, _) = background::background(run)?;
     let trajectories = scale::in_units(run)?;
-    let sizes = scale::sizes(run)?;
-    let pose_covariances = scale::pose_covariances(run)?;
+    let ScaleResults { sizes, pose_covariances } = scale::results(run)?;
     let found = match background.is_empty() {
         true => MetricResult::unknown("no background"),
         false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
@@ -85,7 +85,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         _ => None,
     };
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
-        let movements = track::objects(run)?.into_iter().map(|object| (object.id, object.movement.state)).collect();
+        let movements =
+            run.workspace.read_tracked()?.into_iter().map(|object| (object.id, object.movement.state)).collect();
         let placing = Placing::new(&background, frame, found.map, &pose_covariances, run.info().time_base(), movements);
         for trajectory in &mut objects {
             match &nominal {

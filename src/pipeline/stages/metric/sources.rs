@@ -29,7 +29,7 @@ impl Ground {
         let below = match ground::sources(run)?.hovering {
             Some(hovering) => Ok(hovering.camera_height(background)),
             None => {
-                let points = ground::ground(run)?.point_ids;
+                let points = run.workspace.read_ground()?.point_ids;
                 camera_height(background, &points, &run.options.ground, run.options.seed)
             }
         };

@@ -9,11 +9,11 @@ use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 
-use super::super::ground::body_shape;
+use super::super::ground::GroundResults;
 use super::super::{background, track};
 use super::object_boxes::object_boxes;
 use crate::features::tracks::{TrackTable, View};
-use crate::ground::{DominantPlane, GroundChain, HoveringGround, Mount, dominant_plane_points, find_mount};
+use crate::ground::{GroundChain, HoveringGround, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
 use crate::pipeline::driver::run::Run;
@@ -34,7 +34,7 @@ pub(super) struct Footing<'a> {
     /// The ground below a camera that does not translate.
     pub(super) hovering: Option<HoveringGround>,
     /// Found when the first object asks for it.
-    found: OnceCell<(Option<DominantPlane>, Option<Mount>)>,
+    found: OnceCell<GroundResults>,
 }
 
 impl<'a> Footing<'a> {
@@ -42,20 +42,16 @@ impl<'a> Footing<'a> {
         Ok(Self { run, background, hovering: hovering_ground(run, background)?, found: OnceCell::new() })
     }
 
-    fn chain(&self) -> GroundChain<'_> {
-        let (options, seed) = (&self.run.options.ground, self.run.options.seed);
-        let (dominant, mount) = self.found.get_or_init(|| {
-            let dominant = dominant_plane_points(self.background, options, seed).ok();
-            (dominant, find_mount(self.background, None, options, seed).ok())
-        });
-        let (dominant, mount) = (dominant.as_ref(), mount.as_ref());
-        let (hovering, shape) = (self.hovering.as_ref(), body_shape(self.run.options));
-        GroundChain { background: self.background, labelled: &[], dominant, mount, hovering, shape }
-    }
-
     /// Poses of the views of an object; `None` where there is no ground.
     pub(super) fn poses(&self, id: ObjectId, table: &TrackTable) -> Option<PosePriors> {
-        object_pose_priors(&self.chain(), id, table, self.run.options)
+        let (options, seed) = (&self.run.options.ground, self.run.options.seed);
+        let found = self.found.get_or_init(|| GroundResults {
+            dominant: dominant_plane_points(self.background, options, seed).ok(),
+            mount: find_mount(self.background, None, options, seed).ok(),
+            hovering: self.hovering.clone(),
+            ..GroundResults::default()
+        });
+        object_pose_priors(&found.chain(self.background, self.run.options), id, table, self.run.options)
     }
 }
 
@@ -65,7 +61,7 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
         return Ok(None);
     }
     // Where vehicles that stand point to is unknown.
-    let mut tracked = track::objects(run)?;
+    let mut tracked = run.workspace.read_tracked()?;
     tracked.retain(|object| object.movement.state == Movement::Moving);
     let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, Rect>> = BTreeMap::new();
     for frame in run.frames()? {

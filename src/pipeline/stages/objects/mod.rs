@@ -64,7 +64,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
 
 pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let tracked = track::objects(run)?;
+    let tracked = run.workspace.read_tracked()?;
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let (background, _) = background::background(run)?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());

@@ -32,7 +32,7 @@ pub(super) struct Placed<'a> {
     pub(super) tracked: &'a [TrackedObject],
     pub(super) objects: &'a [ObjectTrajectory],
     pub(super) reports: &'a BTreeMap<ObjectId, ModelReport>,
-    pub(super) failures: &'a BTreeMap<String, String>,
+    pub(super) failures: &'a BTreeMap<ObjectId, String>,
     pub(super) followed: Followed,
 }
 
@@ -42,7 +42,7 @@ impl Placed<'_> {
     fn reason(&self, tracked: &TrackedObject) -> Option<String> {
         let report = self.reports.get(&tracked.id).filter(|_| tracked.left_out.is_none())?;
         let Some(trajectory) = self.objects.iter().find(|object| object.id == tracked.id) else {
-            let failure = self.failures.get(&tracked.id.to_string()).or(report.failure.as_ref());
+            let failure = self.failures.get(&tracked.id).or(report.failure.as_ref());
             return Some(
                 failure.map_or_else(|| "no trajectory".to_owned(), |failure| format!("no trajectory: {failure}")),
             );

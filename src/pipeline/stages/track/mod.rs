@@ -121,11 +121,6 @@ fn leave_out(
     }
 }
 
-/// The tracked objects; the stage must be done.
-pub(in crate::pipeline) fn objects(run: &Run) -> Result<Vec<TrackedObject>, PipelineError> {
-    Ok(run.workspace.read_tracked()?)
-}
-
 /// The masks of all tracked objects in one frame.
 pub(in crate::pipeline) fn masks_of(
     run: &Run,
