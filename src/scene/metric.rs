@@ -14,7 +14,7 @@ use super::with_names;
 use crate::math::Sim3;
 
 /// On what metres rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MetricVerdict {
     /// Mostly on what somebody measured.
@@ -24,6 +24,7 @@ pub enum MetricVerdict {
     /// On what vehicles are like.
     PriorOnly,
     /// On nothing: there are none.
+    #[default]
     Unknown,
 }
 
@@ -147,7 +148,7 @@ impl MetricFrame {
 }
 
 /// Metres of a result.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Metric {
     /// On what they rest.
     pub verdict: MetricVerdict,

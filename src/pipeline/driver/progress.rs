@@ -87,21 +87,18 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     let (per_frame, per_megapixel) = match stage {
         Stage::Frames => (0.0, 0.01),
         Stage::Segment if found_by_default || with_model => (0.1, 0.02),
-        Stage::Segment => (0.0, 0.0),
         Stage::Features => (0.0, 0.15),
         Stage::Motion if is_looked_for => (0.0, 0.08),
-        Stage::Motion => (0.0, 0.0),
         Stage::Track if found_by_default => (0.2, 0.1),
         Stage::Track if with_model => (0.0, 0.08),
         Stage::Track => (0.0, 0.02),
         Stage::Follow => (0.0, 0.05),
-        Stage::Background => (0.03, 0.0),
-        Stage::Objects => (0.03, 0.0),
+        Stage::Background | Stage::Objects => (0.03, 0.0),
         Stage::Ground if with_ground_model => (0.3, 0.0),
-        Stage::Ground => (0.002, 0.0),
         Stage::Scale => (0.005, 0.0),
-        Stage::Metric => (0.002, 0.0),
+        Stage::Ground | Stage::Metric => (0.002, 0.0),
         Stage::Report => (0.01, 0.0),
+        Stage::Segment | Stage::Motion => (0.0, 0.0),
     };
     frames * (per_frame + per_megapixel * megapixels)
 }

@@ -35,6 +35,12 @@ impl Outcome {
         self.note(warning);
     }
 
+    /// As [`Outcome::warn`], of what is no fault.
+    pub(in crate::pipeline) fn mention(&mut self, warning: Warning) {
+        tracing::info!("{warning}");
+        self.note(warning);
+    }
+
     /// As [`Outcome::warn`], of what the end of the run says anyway.
     pub(in crate::pipeline) fn note(&mut self, warning: Warning) {
         self.warnings.push(warning.to_string());

@@ -324,7 +324,6 @@ struct Picked {
 /// The points that a person picked, and their map.
 struct Survey {
     picked: Vec<Picked>,
-    origin: Geodetic,
     knows_height: bool,
     map: LocalFrame,
 }
@@ -339,7 +338,7 @@ impl Survey {
             latitude_deg: mean(&|point| point.latitude_deg),
             height_m: if knows_height { mean(&|point| point.height_m.unwrap_or(0.0)) } else { 0.0 },
         };
-        Ok(Self { map: LocalFrame::at(origin), picked, origin, knows_height })
+        Ok(Self { map: LocalFrame::at(origin), picked, knows_height })
     }
 
     /// The points as the cameras see them.
@@ -363,12 +362,11 @@ impl Survey {
                 return Err(format!("point {number}: pixel ({x}, {y}) is outside {}x{}", camera.width, camera.height));
             }
             let Picked { longitude_deg, latitude_deg, .. } = *picked;
-            let place =
-                self.map.from_geodetic(Geodetic { longitude_deg, latitude_deg, height_m: self.origin.height_m });
+            let place = Geodetic { longitude_deg, latitude_deg, ..self.map.origin };
             Ok(MapPoint {
                 ray_in_world: image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(picked.pixel),
                 ray_std: PICKED_STD_PX / camera.mean_focal(),
-                east_north_m: place.coords.xy(),
+                east_north_m: self.map.from_geodetic(place).coords.xy(),
                 std_m: MAP_STD_M,
             })
         };

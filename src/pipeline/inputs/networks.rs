@@ -77,7 +77,7 @@ impl Networks {
     }
 
     /// Files of the mask networks.
-    fn mask_files(&self) -> Vec<PathBuf> {
+    pub(in crate::pipeline) fn mask_files(&self) -> Vec<PathBuf> {
         self.small_masks.iter().chain(self.mobile_sam.iter().flatten()).cloned().collect()
     }
 
@@ -111,16 +111,6 @@ impl Networks {
             true => Ok(()),
             false => self.load_box_segmenter(run).map(drop),
         }
-    }
-
-    /// Inputs of the detector's boxes.
-    pub(in crate::pipeline) fn fingerprint_of_detector(&self, run: &Run) -> Result<Value, PipelineError> {
-        of_networks(run, self.detector.as_slice())
-    }
-
-    /// Inputs of the masks of boxes.
-    pub(in crate::pipeline) fn fingerprint_of_masks(&self, run: &Run) -> Result<Value, PipelineError> {
-        of_networks(run, &self.mask_files())
     }
 }
 

@@ -4,6 +4,7 @@
 //! is needed last. What an earlier run has done already is not looked at again.
 
 use std::collections::BTreeSet;
+use std::path::PathBuf;
 
 use super::cameras;
 use super::given_masks::MaskFolder;
@@ -68,8 +69,8 @@ pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<(), 
         Stage::Features => given_masks(run),
         Stage::Track => networks_of_tracking(run),
         Stage::Follow => object_ids(run),
-        Stage::Background => background_model(run),
-        Stage::Objects => object_models(run),
+        Stage::Background => models(run, run.options.background_model.iter(), Target::Background),
+        Stage::Objects => models(run, run.options.object_models.values(), Target::Object),
         Stage::Ground => ground_labels(run),
         Stage::Frames | Stage::Motion | Stage::Scale | Stage::Metric | Stage::Report => Ok(()),
     })
@@ -117,12 +118,8 @@ fn object_ids(run: &Run) -> Result<(), PipelineError> {
     track::check_models(run, &ids)
 }
 
-fn background_model(run: &Run) -> Result<(), PipelineError> {
-    run.options.background_model.iter().try_for_each(|path| given_models::read(path, Target::Background, run).map(drop))
-}
-
-fn object_models(run: &Run) -> Result<(), PipelineError> {
-    run.options.object_models.values().try_for_each(|path| given_models::read(path, Target::Object, run).map(drop))
+fn models<'a>(run: &Run, mut paths: impl Iterator<Item = &'a PathBuf>, target: Target) -> Result<(), PipelineError> {
+    paths.try_for_each(|path| given_models::read(path, target, run).map(drop))
 }
 
 fn ground_labels(run: &Run) -> Result<(), PipelineError> {

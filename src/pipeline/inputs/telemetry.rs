@@ -142,10 +142,7 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
             match error {
                 // It may well be telemetry.
                 TelemetryError::TooLarge { .. } | TelemetryError::TooMany { .. } => outcome.warn(warning),
-                _ => {
-                    tracing::info!("{warning}");
-                    outcome.note(warning);
-                }
+                _ => outcome.mention(warning),
             }
             None
         }
@@ -158,9 +155,7 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
         Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
         Some(Err(error)) => {
             let text = format!("data in the video ignored as telemetry: {}", with_causes(&error));
-            let warning = Topic::TelemetryUnreadable.warning(text);
-            tracing::info!("{warning}");
-            outcome.note(warning);
+            outcome.mention(Topic::TelemetryUnreadable.warning(text));
             None
         }
         None => None,

@@ -4,10 +4,11 @@ use std::collections::BTreeMap;
 
 use serde_json::{Value, json};
 
-use super::features::{self, TrackStore};
+use super::features::tracks_of;
 use super::track;
 use crate::features::{FrontEnd, TrackTable};
 use crate::image::Picture;
+use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{PipelineError, Stage};
@@ -52,15 +53,15 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         Ok(())
     })?;
 
-    let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
+    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
     for (id, front_end) in front_ends {
-        store.write(&id.to_string(), &front_end.finish(options.seed)?)?;
+        intermediate::write(&tracks_of(&folder, &id.to_string()), &front_end.finish(options.seed)?)?;
     }
-    outcome.outputs.push(store.folder);
+    outcome.outputs.push(folder);
     Ok(outcome)
 }
 
 /// The tracks of one object; the stage must be done.
 pub(in crate::pipeline) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable, PipelineError> {
-    features::TrackStore::done(run, PREFIX, Stage::Follow).read(&id.to_string())
+    intermediate::read(&tracks_of(&run.folder(PREFIX, Stage::Follow), &id.to_string()))
 }

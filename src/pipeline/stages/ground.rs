@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::{background, objects};
+use super::objects;
 use crate::ground::{
     BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, StatedTilt, TiltContradiction, dominant_plane_points,
     find_mount, label_points,
@@ -51,7 +51,7 @@ pub(super) fn body_shape(options: &Options) -> BodyShape {
 
 pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let (background, _) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     let found = match background.is_empty() {
         true => GroundResults::default(),
         false => find(run, &background, fingerprint, &mut outcome)?,

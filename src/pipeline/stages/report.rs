@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::Deserialize;
 
 use super::background::{self, ModelReport};
-use super::{ground, objects, scale, track};
+use super::{objects, scale, track};
 use crate::eval::Evaluation;
 use crate::io::{ExportFolder, IoError, atomic, json};
 use crate::math::rounding::with_std;
@@ -65,7 +65,7 @@ struct RunJson {
 /// A file that cannot be read or written.
 pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> {
     let tracked = run.workspace.read_tracked()?;
-    let (background, background_report) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
     // Objects are adjusted with the ground later, if ever.
     let object_models = object_models(&reports, |id| run.workspace.read_as_reconstructed(id))?;
@@ -76,7 +76,7 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> 
         metric: metric.as_ref(),
         objects: objects(&tracked, &reports, &object_models, &nothing, &BTreeMap::new(), |_, _| Vec::new()),
         parts: model_parts(run, &reports),
-        ..models(run, &background, background_report, &tracked)?
+        ..models(run, &background, &tracked)?
     };
     put_page(run, &data)
 }
@@ -90,9 +90,9 @@ fn put_page(run: &Run, data: &Data) -> Result<(), PipelineError> {
 fn models<'a>(
     run: &'a Run,
     background: &'a Reconstruction,
-    report: ModelReport,
     tracked: &[TrackedObject],
 ) -> Result<Data<'a>, PipelineError> {
+    let report = background::background_report(run)?;
     Ok(Data {
         title: title(run),
         input: input_facts(run, background)?,
@@ -147,7 +147,7 @@ fn title(run: &Run) -> String {
 
 pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let tracked = run.workspace.read_tracked()?;
-    let (background, background_report) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
     let object_models = object_models(&reports, |id| run.workspace.read_object(id))?;
     let trajectories = run.workspace.read_trajectories()?;
@@ -163,7 +163,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
         evaluation: evaluation.as_ref(),
         parts: parts(run, &reports, &trajectories),
         is_sfm: false,
-        ..models(run, &background, background_report, &tracked)?
+        ..models(run, &background, &tracked)?
     };
     put_page(run, &data)?;
     Ok(Outcome { outputs: vec![run.workspace.report()], ..Outcome::default() })

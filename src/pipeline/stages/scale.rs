@@ -45,7 +45,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 
 pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let (background, _) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
     clear(run, &reports)?;
     outcome.outputs.push(point_cloud::background(run, &background)?);

@@ -79,7 +79,7 @@ fn placed(
     let (model, _) = model::read_for_geometry(&place)?;
     let sizes = sizes_of(&place, format, &model);
     let (mut model, mut remarks) = names::with_frame_ids(path, model, frames)?;
-    remarks.extend(super::given_models::images::fit(path, &mut model, &sizes, pictures)?);
+    remarks.extend(images::fit(path, &mut model, &sizes, pictures)?);
     check_points(path, &model)?;
     renew_errors(&mut model);
     Ok((model, remarks))

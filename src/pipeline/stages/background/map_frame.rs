@@ -51,12 +51,8 @@ fn metric(fitted: &FittedLog, of_log: Origin) -> Option<Metric> {
     let fused = fuse(&[alignment.source(of_log.source_name(), Kind::Telemetry)])?;
     Some(Metric {
         verdict: fused.verdict,
-        reason: None,
         frame: Some(frame_on_map(&fused, alignment, alignment::map_origin(map, *knows_height))),
         shares: fused.shares,
-        contradictions: Vec::new(),
-        time_offset_s: None,
-        time_offset_std_s: None,
-        dates: None,
+        ..Metric::default()
     })
 }

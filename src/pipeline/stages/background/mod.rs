@@ -191,11 +191,6 @@ fn center_figures(model: &Reconstruction, prior_std: &BTreeMap<CameraId, [f64; N
     Some(json!({ "median": median, "max": largest, "pixel_px": found.pixel_px }))
 }
 
-/// The background's model; the stage must be done.
-pub(in crate::pipeline) fn background(run: &Run) -> Result<(Reconstruction, ModelReport), PipelineError> {
-    Ok((run.workspace.read_background()?, background_report(run)?))
-}
-
 /// Report on the background's model; the stage must be done.
 pub(in crate::pipeline) fn background_report(run: &Run) -> Result<ModelReport, PipelineError> {
     run.workspace.read_state(BACKGROUND_REPORT)

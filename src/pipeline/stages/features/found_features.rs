@@ -2,12 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use super::{BACKGROUND, PREFIX, TrackStore};
+use super::{BACKGROUND, PREFIX, tracks_of};
 use crate::features::TrackTable;
 use crate::features::tracks::{self, Feature};
 use crate::io::interchange::database::{Features, View};
 use crate::io::{IoError, RunFolder};
 use crate::pipeline::PipelineError;
+use crate::pipeline::driver::intermediate;
 use crate::scene::{CameraId, TrackElement};
 
 /// The features of the background's frames and what tracks they belong to; `None` if the folder has none: it is no
@@ -16,8 +17,8 @@ use crate::scene::{CameraId, TrackElement};
 /// # Errors
 /// A folder that cannot be read, or a damaged file in it.
 pub fn found_features(output: &Path) -> Result<Option<Features>, PipelineError> {
-    match folder_of_tracks(&output.join(RunFolder::STATE))?.map(|folder| TrackStore { folder }) {
-        Some(store) if store.path(BACKGROUND).is_file() => Ok(Some(features(store.read(BACKGROUND)?))),
+    match folder_of_tracks(&output.join(RunFolder::STATE))?.map(|folder| tracks_of(&folder, BACKGROUND)) {
+        Some(path) if path.is_file() => Ok(Some(features(intermediate::read(&path)?))),
         _ => Ok(None),
     }
 }
@@ -69,7 +70,7 @@ mod tests {
         };
         let track = vec![Feature { view: 0, feature: 2 }, Feature { view: 1, feature: 0 }];
         let table = TrackTable { views: vec![view(4), view(7)], tracks: vec![track] };
-        TrackStore { folder: state.clone() }.write(BACKGROUND, &table).unwrap();
+        intermediate::write(&tracks_of(&state, BACKGROUND), &table).unwrap();
         let found = found_features(folder.path()).unwrap().unwrap();
         assert_eq!(found.views.keys().copied().collect::<Vec<_>>(), [ImageId(4), ImageId(7)]);
         let element = |image, observation_idx| TrackElement { image: ImageId(image), observation_idx };

@@ -3,7 +3,7 @@
 pub(in crate::pipeline) mod found_features;
 pub(in crate::pipeline) mod masking;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
@@ -53,17 +53,18 @@ fn given_masks(run: &Run) -> Result<Option<String>, PipelineError> {
 
 pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let store = TrackStore::fresh(run, PREFIX, fingerprint)?;
+    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
     if run.options.background_model.is_none() {
-        let mut points = Follower::beside_features(run)?;
+        let are_wanted = run.goal >= Stage::Motion && point_tracks::is_wanted(run)?;
+        let mut points = are_wanted.then(|| Follower::new(run));
         let table = follow_background(run, points.as_mut(), &mut outcome)?;
         if let Some(points) = points {
-            intermediate::write(&store.folder.join(point_tracks::FILE_NAME), &points.finish())?;
+            intermediate::write(&folder.join(point_tracks::FILE_NAME), &points.finish())?;
         }
         outcome.figure("background_tracks", table.tracks.len());
-        store.write(BACKGROUND, &table)?;
+        intermediate::write(&tracks_of(&folder, BACKGROUND), &table)?;
     }
-    outcome.outputs.push(store.folder);
+    outcome.outputs.push(folder);
     Ok(outcome)
 }
 
@@ -106,34 +107,10 @@ fn follow_background(
 
 /// The tracks of the background; the stage must be done.
 pub(in crate::pipeline) fn of_background(run: &Run) -> Result<TrackTable, PipelineError> {
-    TrackStore::done(run, PREFIX, Stage::Features).read(BACKGROUND)
+    intermediate::read(&tracks_of(&run.folder(PREFIX, Stage::Features), BACKGROUND))
 }
 
-/// A stage's folder of tracks, one file per target.
-pub(in crate::pipeline) struct TrackStore {
-    pub(in crate::pipeline) folder: PathBuf,
-}
-
-impl TrackStore {
-    /// For a stage at work; takes away what it left before for other options.
-    pub(in crate::pipeline) fn fresh(run: &Run, prefix: &str, fingerprint: &str) -> Result<Self, PipelineError> {
-        Ok(Self { folder: run.workspace.intermediate(prefix, fingerprint)? })
-    }
-
-    /// Of a stage that is done.
-    pub(in crate::pipeline) fn done(run: &Run, prefix: &str, stage: Stage) -> Self {
-        Self { folder: run.folder(prefix, stage) }
-    }
-
-    pub(in crate::pipeline) fn write(&self, target: &str, table: &TrackTable) -> Result<(), PipelineError> {
-        intermediate::write(&self.path(target), table)
-    }
-
-    pub(in crate::pipeline) fn read(&self, target: &str) -> Result<TrackTable, PipelineError> {
-        intermediate::read(&self.path(target))
-    }
-
-    pub(in crate::pipeline) fn path(&self, target: &str) -> PathBuf {
-        self.folder.join(format!("{target}.bin"))
-    }
+/// The file with the tracks of a target in a stage's folder.
+pub(in crate::pipeline) fn tracks_of(folder: &Path, target: &str) -> PathBuf {
+    folder.join(format!("{target}.bin"))
 }

@@ -2,7 +2,7 @@
 
 use super::super::background;
 use super::sources::{Ground, MAX_TILT};
-use crate::metric::{Alignment, Gravity, Kind, Offset, Orientation, Refusal, Source, Support};
+use crate::metric::{Alignment, Gravity, Kind, Offset, Source, Support};
 use crate::pipeline::PipelineError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::alignment::{FittedLog, fit, map_origin};
@@ -60,12 +60,18 @@ fn try_align(
 ) -> Result<Aligned, String> {
     let frames = run.frames().map_err(|error| error.to_string())?;
     let support = |offset, epoch_s| support(background, frames, telemetry, ground, offset, epoch_s, outcome);
-    let FittedLog { alignment, map, knows_height, epoch_s, refusal, .. } = fit(run, background, telemetry, support)?;
+    let FittedLog { alignment, map, knows_height, epoch_s, refusal } = fit(run, background, telemetry, support)?;
     let clock_offset_s = epoch_s + alignment.offset_s;
+    if let Some(reason) = refusal {
+        outcome.warn(Topic::TelemetryAtAnotherTime.warning(format!(
+            "{}: stated time does not fit the video ({reason}); by its trajectory the log's clock is \
+             {clock_offset_s:.1} s ahead of the video's; give --time-offset SECONDS if that is wrong, --no-telemetry \
+             if it is the log of another flight",
+            telemetry.path.display()
+        )));
+    }
     let source = alignment.source(telemetry.origin.source_name(), Kind::Telemetry);
-    let aligned = Aligned { alignment, map, knows_height, source: Some(source), clock_offset_s: Some(clock_offset_s) };
-    warn_of_other_clock(telemetry, &aligned, refusal.as_ref(), outcome);
-    Ok(aligned)
+    Ok(Aligned { alignment, map, knows_height, source: Some(source), clock_offset_s: Some(clock_offset_s) })
 }
 
 /// A camera that does not translate, by points of a map or by a log; and the height above take-off as that above
@@ -106,17 +112,6 @@ pub(super) fn hovering(
     Ok((of_map.or_else(of_log), of_height))
 }
 
-/// Says where the log fits only at another time than it states.
-fn warn_of_other_clock(telemetry: &Telemetry, aligned: &Aligned, refusal: Option<&Refusal>, outcome: &mut Outcome) {
-    let Some(reason) = refusal else { return };
-    outcome.warn(Topic::TelemetryAtAnotherTime.warning(format!(
-        "{}: stated time does not fit the video ({reason}); by its trajectory the log's clock is {:.1} s ahead of the \
-         video's; give --time-offset SECONDS if that is wrong, --no-telemetry if it is the log of another flight",
-        telemetry.path.display(),
-        aligned.clock_offset_s.unwrap_or(0.0)
-    )));
-}
-
 /// The vertical from the camera's attitude in the log, else from the ground.
 fn support(
     background: &Reconstruction,
@@ -127,32 +122,19 @@ fn support(
     epoch_s: f64,
     outcome: &mut Outcome,
 ) -> Support {
-    let gravity = ground.gravity();
-    let mean_s = match offset {
-        Offset::Known { mean_s, .. } => mean_s,
-        Offset::Unknown => return Support { offset, gravity, orientation: None },
+    let gravity = ground.normal.map(|(up_in_world, std)| Gravity { up_in_world, std });
+    let by_ground = Support { offset, gravity, orientation: None };
+    let Offset::Known { mean_s, .. } = offset else { return by_ground };
+    let Some(found) = orientation(background, frames, &telemetry.log.fixes, epoch_s + mean_s) else {
+        return by_ground;
     };
-    let orientation = orientation(background, frames, &telemetry.log.fixes, epoch_s + mean_s);
-    let agrees = |orientation: &Orientation| {
-        let up = orientation.metric_from_world.inverse() * nalgebra::Vector3::z();
-        gravity.is_none_or(|gravity| up.angle(&gravity.up_in_world) <= MAX_TILT)
-    };
-    match orientation {
-        Some(found) if agrees(&found) => Support { offset, gravity: None, orientation: Some(found) },
-        Some(_) => {
-            let text = "telemetry: camera attitude does not fit the ground; attitude ignored";
-            outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
-            Support { offset, gravity, orientation: None }
-        }
-        None => Support { offset, gravity, orientation: None },
+    let up = found.metric_from_world.inverse() * nalgebra::Vector3::z();
+    if ground.normal.is_none_or(|(normal, _)| up.angle(&normal) <= MAX_TILT) {
+        return Support { offset, gravity: None, orientation: Some(found) };
     }
-}
-
-impl Ground {
-    /// The ground's normal as the vertical.
-    fn gravity(&self) -> Option<Gravity> {
-        self.normal.map(|(up_in_world, std)| Gravity { up_in_world, std })
-    }
+    let text = "telemetry: camera attitude does not fit the ground; attitude ignored";
+    outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
+    by_ground
 }
 
 fn describe(alignment: &Alignment, outcome: &mut Outcome) {

@@ -16,7 +16,6 @@ use std::collections::BTreeMap;
 use nalgebra::Point3;
 use serde_json::{Value, json};
 
-use super::background;
 use super::scale::{self, ScaleResults};
 use crate::math::median;
 use crate::math::rounding::{figure, percent, significant};
@@ -30,7 +29,6 @@ use crate::scene::{
     Trajectories, sources_in_words,
 };
 use crate::telemetry;
-use aligned::Aligned;
 pub use dates::of_log as dates_of_log;
 use ground_tracks::Scale;
 use placed::Placing;
@@ -67,7 +65,7 @@ pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError>
 
 pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    let (background, _) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     let trajectories = scale::in_units(run)?;
     let ScaleResults { sizes, pose_covariances } = scale::results(run)?;
     let found = match background.is_empty() {
@@ -120,22 +118,8 @@ struct MetricResult {
 
 impl MetricResult {
     fn unknown(reason: impl Into<String>) -> Self {
-        let metric = Metric {
-            verdict: MetricVerdict::Unknown,
-            reason: Some(reason.into()),
-            frame: None,
-            shares: Vec::new(),
-            contradictions: Vec::new(),
-            time_offset_s: None,
-            time_offset_std_s: None,
-            dates: None,
-        };
-        Self { metric, map: None, known: None }
+        Self { metric: Metric { reason: Some(reason.into()), ..Metric::default() }, map: None, known: None }
     }
-}
-
-fn offset_std_s(aligned: &Aligned) -> f64 {
-    aligned.alignment.offset_std_s
 }
 
 fn find(
@@ -179,14 +163,15 @@ fn find(
         Some(aligned) => frame_on_map(&fused, &aligned.alignment, aligned.origin()),
         None => frame_on_ground(&fused, &ground.level(background)),
     };
+    let time_offset_s = aligned.as_ref().and_then(|aligned| aligned.clock_offset_s);
     let metric = Metric {
         verdict: fused.verdict,
         reason: Some(sentence(&fused, &frame)),
         frame: Some(frame),
         shares: fused.shares,
         contradictions: fused.contradictions.into_iter().chain(alike.contradictions()).collect(),
-        time_offset_s: aligned.as_ref().and_then(|aligned| aligned.clock_offset_s),
-        time_offset_std_s: aligned.as_ref().filter(|aligned| aligned.clock_offset_s.is_some()).map(offset_std_s),
+        time_offset_s,
+        time_offset_std_s: time_offset_s.and(aligned.as_ref()).map(|aligned| aligned.alignment.offset_std_s),
         dates,
     };
     Ok(MetricResult { metric, map: aligned.map(|aligned| aligned.map), known })

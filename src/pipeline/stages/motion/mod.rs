@@ -2,7 +2,7 @@
 //!
 //! Points are followed all over the picture and held against the background's cameras and the ground. Following needs
 //! pictures alone, so that the stage `features` does it where it goes through them all
-//! ([`super::motion::point_tracks`]). What this stage leaves are boxes of what moves, frame by frame, and what is known
+//! ([`point_tracks`]). What this stage leaves are boxes of what moves, frame by frame, and what is known
 //! of each point: the next stage asks whether the objects moved whose masks it has.
 
 pub(in crate::pipeline) mod point_tracks;
@@ -44,7 +44,7 @@ pub(in crate::pipeline) struct Points {
 }
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
-    if !super::motion::point_tracks::is_wanted(run)? {
+    if !point_tracks::is_wanted(run)? {
         return Ok(json!("none"));
     }
     Ok(json!({
@@ -61,13 +61,13 @@ fn finds(run: &Run) -> bool {
 
 pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
     let mut outcome = Outcome::default();
-    if !super::motion::point_tracks::is_wanted(run)? {
+    if !point_tracks::is_wanted(run)? {
         return Ok(outcome);
     }
     let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
-    let Followed { frames, tracks } = super::motion::point_tracks::points(run, &folder, &mut outcome)?;
+    let Followed { frames, tracks } = point_tracks::points(run, &folder, &mut outcome)?;
     // Of a long video the background takes as much room as what comes now.
-    let world = World::new(run, &background::background(run)?.0, &frames, &mut outcome);
+    let world = World::new(run, &run.workspace.read_background()?, &frames, &mut outcome);
     let labels = classify(&tracks, &world.surroundings(run));
     let found: Vec<MovingObject> = match () {
         () if !finds(run) => Vec::new(),
@@ -119,10 +119,10 @@ pub(in crate::pipeline) struct World {
 /// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
 /// motion is not looked at.
 pub(in crate::pipeline) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>, PipelineError> {
-    if !super::motion::point_tracks::is_wanted(run)? {
+    if !point_tracks::is_wanted(run)? {
         return Ok(None);
     }
-    let (background, _) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     Ok(Some(World::new(run, &background, frames, &mut Outcome::default())))
 }
 
@@ -189,11 +189,11 @@ pub(in crate::pipeline) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
 
 /// The points and what is known of them; none where motion was not looked at. The stage must be done.
 pub(in crate::pipeline) fn points(run: &Run) -> Result<Points, PipelineError> {
-    if !super::motion::point_tracks::is_wanted(run)? {
+    if !point_tracks::is_wanted(run)? {
         return Ok(Points::default());
     }
     let folder = folder(run);
-    let Followed { frames, tracks } = super::motion::point_tracks::kept_points(run, &folder)?;
+    let Followed { frames, tracks } = point_tracks::kept_points(run, &folder)?;
     let frames = frames.into_iter().map(|frame| frame.id).collect();
     Ok(Points { frames, tracks, labels: intermediate::read(&folder.join(LABELS))? })
 }

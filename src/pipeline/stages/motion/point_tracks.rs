@@ -44,11 +44,6 @@ impl Follower {
         Self { points: PointFollower::new(run.size()), frames: Vec::new() }
     }
 
-    /// One that works next to the stage `features`, if `motion` comes after it in this run.
-    pub(in crate::pipeline) fn beside_features(run: &Run) -> Result<Option<Self>, PipelineError> {
-        Ok((run.goal >= Stage::Motion && is_wanted(run)?).then(|| Self::new(run)))
-    }
-
     /// Takes the next frame.
     pub(in crate::pipeline) fn push(&mut self, frame: &Frame, picture: &Picture) -> Result<(), PipelineError> {
         self.points.push(picture)?;

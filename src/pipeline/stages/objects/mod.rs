@@ -66,7 +66,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let mut outcome = Outcome::default();
     let tracked = run.workspace.read_tracked()?;
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
-    let (background, _) = background::background(run)?;
+    let background = run.workspace.read_background()?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
     let hovers = background.points.is_empty();
     let by_points = track::movement::by_points(run)?;

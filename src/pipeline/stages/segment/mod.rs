@@ -35,7 +35,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
             "options": run.options.segmentation,
         }),
         Instances::Vehicles => {
-            let detector = Networks::of(run)?.fingerprint_of_detector(run)?;
+            let detector = of_networks(run, Networks::of(run)?.detector.as_slice())?;
             let every = Schedule::of(run)?.detector;
             json!({ "detector": detector, "options": run.options.detector, "every": every })
         }

@@ -47,7 +47,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
         Instances::Model(_) => following()?,
         Instances::Vehicles => json!({
             "following": following()?,
-            "masks": Networks::of(run)?.fingerprint_of_masks(run)?,
+            "masks": of_networks(run, &Networks::of(run)?.mask_files())?,
             "prompt": options.prompt,
             "every": Schedule::of(run)?.masks,
         }),
