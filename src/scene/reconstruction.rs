@@ -124,10 +124,6 @@ impl Reconstruction {
 
     /// The images of a video before which the map is interrupted: hardly a track leads there across missing frames.
     pub fn gaps(&self) -> Vec<ImageId> {
-        // Seven re-detected tracks left two parts of a rendered car 0.18 m apart; other values were not tried. Between
-        // neighboring frames a rigid motion takes three.
-        const MIN_SHARED: isize = 12;
-        const MIN_SHARED_NEXT: isize = 3;
         let ids: Vec<ImageId> = self.images.keys().copied().collect();
         // By image: tracks that begin before it, less those that end before it.
         let mut change = vec![0isize; ids.len() + 1];
@@ -142,8 +138,10 @@ impl Reconstruction {
         let mut gaps = Vec::new();
         for k in 1..ids.len() {
             num_shared += change[k];
+            // Seven re-detected tracks left two parts of a rendered car 0.18 m apart; other values were not tried.
+            // Between neighboring frames a rigid motion takes three.
             let is_next = ids[k].frame().0 == ids[k - 1].frame().0 + 1;
-            if num_shared < if is_next { MIN_SHARED_NEXT } else { MIN_SHARED } {
+            if num_shared < if is_next { 3 } else { 12 } {
                 gaps.push(ids[k]);
             }
         }

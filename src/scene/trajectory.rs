@@ -266,9 +266,8 @@ impl ObjectTrajectory {
 
     /// Standard deviation of the scale ratio, as a share of it.
     pub fn log_ratio_std(&self) -> f64 {
-        // Of a ratio whose method states none: what methods differ by where they work.
-        const UNSTATED: f64 = 0.1;
-        self.scale.std.map_or(UNSTATED, |std| std / self.scale.ratio)
+        // A method that states none differs by so much from others where it works.
+        self.scale.std.map_or(0.1, |std| std / self.scale.ratio)
     }
 
     /// Name of the vehicle: class and id.

@@ -24,8 +24,6 @@ use crate::pipeline::{Instances, Options, PipelineError, Stage, TelemetryChoice}
 
 /// The record's file, in the folder for the run's own state.
 const RECORD: &str = "ended.json";
-/// Maximum depth of folders that are read.
-const MAX_DEPTH: usize = 4;
 
 /// Inputs of a run, as far as they can be determined without reading them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -103,13 +101,13 @@ fn shipped(provider: Provider) -> Value {
     json!({ "files": files, "runtime": onnx::is_in_place(provider) })
 }
 
-/// Name and state of a file, or of all files in a folder, in the order of their names.
+/// Name and state of a file, or of all files in a folder and at most four levels below it, in the order of their names.
 fn states(path: &Path, depth: usize, found: &mut Vec<Value>) {
     let name = path.file_name().map(|name| name.to_string_lossy());
     let state = fs::metadata(path).ok();
     let is_folder = state.as_ref().is_some_and(Metadata::is_dir);
     found.push(json!([depth, name, state.filter(|_| !is_folder).map(|state| of_state(&state))]));
-    if is_folder && depth < MAX_DEPTH {
+    if is_folder && depth < 4 {
         let mut inside: Vec<PathBuf> =
             fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
         inside.sort();

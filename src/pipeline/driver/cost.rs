@@ -25,9 +25,6 @@ pub struct Cost {
     pub peak_rss_mib: f64,
 }
 
-/// Time between two samples of the memory in use.
-const SAMPLE_EVERY: Duration = Duration::from_millis(20);
-
 /// Runs from its making to [`Meter::read`].
 pub(in crate::pipeline) struct Meter {
     started: Instant,
@@ -53,7 +50,7 @@ impl Meter {
         // Without a thread to spare, the sample of the beginning and that of the end have to do.
         let _ = thread::Builder::new().name("memory".into()).spawn(move || {
             while !shared.is_over.load(Ordering::Relaxed) {
-                thread::sleep(SAMPLE_EVERY);
+                thread::sleep(Duration::from_millis(20));
                 shared.take();
             }
         });

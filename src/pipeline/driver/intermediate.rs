@@ -15,11 +15,6 @@ use crate::io::{IoError, atomic};
 use crate::pipeline::PipelineError;
 use crate::scene::Frame;
 
-/// Size of the checksum at the end of a file, bytes.
-const CHECKSUM_LEN: usize = 32;
-/// Room for the longest text in a file, bytes: names of frames and classes are far shorter.
-const LONGEST_TEXT: usize = 1 << 20;
-
 /// Reads an intermediate file piece by piece: reading it whole would take the memory of its content twice.
 ///
 /// # Errors
@@ -75,11 +70,12 @@ fn flaw_of_frame(frame: &Frame) -> Option<String> {
 }
 
 fn value_of<T: DeserializeOwned>(reader: &mut Checked<impl Read>) -> Result<T, String> {
-    let mut text = vec![0; LONGEST_TEXT];
+    // Room for the longest text, bytes: names of frames and classes are far shorter.
+    let mut text = vec![0; 1 << 20];
     let (value, _) = postcard::from_io((&mut *reader, &mut text)).map_err(|error| error.to_string())?;
     let found = reader.hash.clone().finalize();
-    let mut checksum = Vec::with_capacity(CHECKSUM_LEN);
-    let rest = reader.inner.by_ref().take(CHECKSUM_LEN as u64 + 1).read_to_end(&mut checksum);
+    let mut checksum = Vec::new();
+    let rest = reader.inner.by_ref().take(found.len() as u64 + 1).read_to_end(&mut checksum);
     match rest {
         Ok(_) if checksum == found.as_slice() => Ok(value),
         Ok(_) => Err("checksum mismatch".to_owned()),

@@ -72,9 +72,6 @@ impl Plan {
     }
 }
 
-/// Frames that a video has whose container does not say it.
-const UNSTATED_FRAMES: u32 = 300;
-
 /// Seconds that a stage usually takes, on two cores of 2020. Only the shares matter much: the terminal corrects the
 /// pace while it watches.
 fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
@@ -103,9 +100,9 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     frames * (per_frame + per_megapixel * megapixels)
 }
 
-/// Number of frames that the options choose, as far as the metadata tell.
+/// Number of frames that the options choose, as far as the metadata tell: a video whose container states none has 300.
 fn num_frames(options: &video::Options, info: &Info) -> f64 {
-    let all = f64::from(info.num_frames.unwrap_or(UNSTATED_FRAMES));
+    let all = f64::from(info.num_frames.unwrap_or(300));
     let index = |position: Position| match position {
         Position::Frame(index) => f64::from(index),
         Position::Seconds(seconds) => info.fps.map_or(all, |fps| seconds * fps),

@@ -101,12 +101,11 @@ pub(in crate::pipeline) fn find(run: &Run, outcome: &mut Outcome) -> Option<Tele
 
 /// Focal length that would show as much on film, millimeters, by the log of a video; `None` where it changes.
 pub(in crate::pipeline) fn film_focal_mm(run: &Run) -> Option<f64> {
-    /// Ratio of focal lengths from which on a lens zooms: logs round to a hundredth or a tenth of a millimeter.
-    const ZOOM: f64 = 1.02;
     let of_log = || {
         let is_video = run.info().kind == Kind::Video;
         let Range { least, most } = is_video.then(|| find(run, &mut Outcome::default()))??.log.film_focal_mm?;
-        (most < ZOOM * least).then_some(least)
+        // Logs round to a hundredth or a tenth of a millimeter.
+        (most < 1.02 * least).then_some(least)
     };
     *run.film_focal_mm.get_or_init(of_log)
 }
@@ -151,14 +150,13 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
 
 fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let video = run.input();
-    match telemetry_inside(video, run.options.video.track) {
-        Some(Ok(log)) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
-        Some(Err(error)) => {
+    match telemetry_inside(video, run.options.video.track)? {
+        Ok(log) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
+        Err(error) => {
             let text = format!("data in the video ignored as telemetry: {}", with_causes(&error));
             outcome.mention(Topic::TelemetryUnreadable.warning(text));
             None
         }
-        None => None,
     }
 }
 
@@ -233,13 +231,11 @@ fn in_text_track(video: &Path, track: Option<u32>) -> Option<Result<Log, Telemet
     Some(telemetry::read_subtitles(&subtitles, video))
 }
 
-/// If none of so many photographs knows its place, the others are not asked.
-const NUM_TRIED: usize = 8;
-
 fn photographs(run: &Run) -> Option<Telemetry> {
     let frames = run.frames().ok()?;
     let paths: Vec<PathBuf> = frames.iter().map(|frame| run.input().join(&frame.name)).collect();
-    telemetry::read_photographs(&paths[..paths.len().min(NUM_TRIED)]).ok()?;
+    // If none of a few photographs knows its place, the others are not asked.
+    telemetry::read_photographs(&paths[..paths.len().min(8)]).ok()?;
     let mut log = telemetry::read_photographs(&paths).ok()?;
     for fix in &mut log.fixes {
         // Names in folders are longer than those of their files.

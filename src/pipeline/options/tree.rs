@@ -134,11 +134,9 @@ fn unknown(path: &str, name: &str, names: &[&str]) -> OptionError {
     OptionError::new(join(path, name), format!("unknown option{meant} Options of {place}: {}", names.join(", ")))
 }
 
-/// Suggestion for an unknown key: its nearest neighbor in the group, or else its namesakes elsewhere.
+/// Suggestion for an unknown key: its nearest neighbor in the group, if it is misspelt (similarity from 0.85), or else its namesakes elsewhere.
 fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
-    /// Similarity from which on a key counts as misspelt (Jaro and Winkler, 0 to 1).
-    const NEAR: f64 = 0.85;
-    let near = names.iter().map(|other| (strsim::jaro_winkler(name, other), other)).filter(|(near, _)| *near >= NEAR);
+    let near = names.iter().map(|other| (strsim::jaro_winkler(name, other), other)).filter(|(near, _)| *near >= 0.85);
     if let Some((_, nearest)) = near.max_by(|a, b| a.0.total_cmp(&b.0)) {
         return Some(spelled(&join(path, nearest)));
     }

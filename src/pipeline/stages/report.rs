@@ -23,11 +23,6 @@ use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Tra
 use crate::trajectory::{Views, intersection};
 use crate::video::Kind;
 
-/// Folder and files of the page's pictures.
-const PICTURES_PREFIX: &str = "pictures-";
-const PICTURES: &str = "pictures.bin";
-const FILM: &str = "film.mp4";
-
 /// Makes the page of a finished run again, with what was put into the folder since.
 ///
 /// # Errors
@@ -135,10 +130,8 @@ fn model_parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Vec<Part
         part(None, folder.background_points(), "background points, for viewing"),
         part(None, folder.run_json(), "options, cost and warnings of the run"),
     ];
-    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
-    let models =
-        models.map(|(id, _)| part(Some(*id), folder.as_reconstructed(*id), "cameras and points, as a COLMAP model"));
-    background.into_iter().chain(models).collect()
+    let model = |id| part(Some(id), folder.as_reconstructed(id), "cameras and points, as a COLMAP model");
+    background.into_iter().chain(with_model(reports).map(model)).collect()
 }
 
 fn title(run: &Run) -> String {
@@ -169,17 +162,16 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
     Ok(Outcome { outputs: vec![run.workspace.report()], ..Outcome::default() })
 }
 
+/// The objects that have a model.
+fn with_model(reports: &BTreeMap<ObjectId, ModelReport>) -> impl Iterator<Item = ObjectId> {
+    reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id)
+}
+
 fn object_models(
     reports: &BTreeMap<ObjectId, ModelReport>,
     read: impl Fn(ObjectId) -> Result<Reconstruction, IoError>,
 ) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
-    let mut models = BTreeMap::new();
-    for (&id, report) in reports {
-        if report.failure.is_none() {
-            models.insert(id, read(id)?);
-        }
-    }
-    Ok(models)
+    with_model(reports).map(|id| Ok((id, read(id)?))).collect()
 }
 
 fn objects<'a>(
@@ -251,7 +243,7 @@ fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Tr
         parts.push(whole(folder.evaluation(), "comparison with the ground truth"));
     }
     parts.extend(exported(&folder.exports()).into_iter().map(|(path, holds)| whole(path, &holds)));
-    for id in reports.iter().filter(|(_, report)| report.failure.is_none()).map(|(id, _)| *id) {
+    for id in with_model(reports) {
         parts.push(part(Some(id), folder.object(id), "cameras and points, as a COLMAP model"));
         parts.push(part(Some(id), folder.as_reconstructed(id), "the same before adjustment with the ground"));
     }
@@ -313,13 +305,13 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
 /// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is made again after an
 /// evaluation or an export.
 fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures, PipelineError> {
-    let kept = run.folder(PICTURES_PREFIX, Stage::Track).join(PICTURES);
+    let folder = run.workspace.intermediate("pictures-", run.fingerprint(Stage::Track))?;
+    let kept = folder.join("pictures.bin");
     if kept.is_file() {
         return intermediate::read(&kept);
     }
-    let folder = run.workspace.intermediate(PICTURES_PREFIX, run.fingerprint(Stage::Track))?;
     let ids: Vec<_> = run.frames()?.iter().map(|frame| frame.id).collect();
-    let film = folder.join(FILM);
+    let film = folder.join("film.mp4");
     let mut maker = PictureMaker::new(&ids, &film);
     // A frame that cannot be decoded is left out: the stage that needed it has reported it.
     for (frame, picture) in run.source.frames_at(maker.wanted())?.flatten() {

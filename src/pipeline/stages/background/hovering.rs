@@ -1,7 +1,5 @@
 //! The background of a camera that does not translate: its rotations, and no points.
 
-use std::collections::BTreeSet;
-
 use super::{ModelReport, failure};
 use crate::features::TrackTable;
 use crate::features::lines::ImageLines;
@@ -13,7 +11,7 @@ use crate::pipeline::inputs::hovering::camera_by_map_points;
 use crate::pipeline::inputs::images;
 use crate::pipeline::stages::features;
 use crate::pipeline::{PipelineError, Stage};
-use crate::scene::{FrameId, Reconstruction, Topic};
+use crate::scene::{Reconstruction, Topic};
 
 /// The ground's normal by straight lines, or `null`.
 const NORMAL: &str = "normal-by-lines.json";
@@ -66,12 +64,9 @@ pub(super) fn reconstruct(
 
 /// Straight lines of some of the first views; fewer where frames cannot be decoded.
 fn lines_of_first(run: &Run, table: &TrackTable, outcome: &mut Outcome) -> Result<Vec<ImageLines>, PipelineError> {
-    /// They average noise; beyond five nothing changes.
-    const NUM_VIEWS: usize = 5;
-    /// Between them, so that compression and moving vehicles differ.
-    const APART: usize = 6;
-    let views = table.views.iter().filter(|view| !view.pixels.is_empty()).step_by(APART).take(NUM_VIEWS);
-    let chosen: BTreeSet<FrameId> = views.map(|view| view.image.frame()).collect();
+    // Apart, so that compression and moving vehicles differ. They average noise; beyond five nothing changes.
+    let views = table.views.iter().filter(|view| !view.pixels.is_empty()).step_by(6).take(5);
+    let chosen = views.map(|view| view.image.frame()).collect();
     let mut found = Vec::new();
     images::for_each(run, Stage::Background, chosen, outcome, |frame, picture| {
         // OpenCV may have been built without the detector.

@@ -31,8 +31,6 @@ use crate::pipeline::inputs::given_models;
 use crate::pipeline::inputs::{cameras, order};
 use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
 
-/// Images whose position's standard deviation is computed: enough for a median.
-const DEVIATION_IMAGES: usize = 16;
 const BACKGROUND_REPORT: &str = "background-report.json";
 
 pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, PipelineError> {
@@ -183,8 +181,9 @@ fn place_of(id: CameraId) -> Option<usize> {
 
 /// Standard deviations of the camera positions, in units of the background; `None` where there is too little data.
 fn center_figures(model: &Reconstruction, prior_std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>) -> Option<Value> {
-    // A model that leaves something undetermined has no such figures, which is no reason to stop.
-    let found = bundle::center_deviations(model, DEVIATION_IMAGES, prior_std).ok()??;
+    // A model that leaves something undetermined has no such figures, which is no reason to stop. Sixteen images are
+    // enough for a median.
+    let found = bundle::center_deviations(model, 16, prior_std).ok()??;
     let mut centers: Vec<f64> = found.centers.into_values().collect();
     centers.sort_by(f64::total_cmp);
     let (median, largest) = (centers.get(centers.len() / 2)?, centers.last()?);
@@ -299,28 +298,25 @@ pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outc
         *reasons.entry(reason).or_default() += 1;
     }
     let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
-    let frames = ranges(report.unregistered.keys().map(|frame| frame.0));
+    let frames: Vec<u32> = report.unregistered.keys().map(|frame| frame.0).collect();
     outcome.warn(Topic::FramesNotRegistered.warning(format!(
-        "{target}: {missing} of {} frames not registered ({frames}); most frequent reason: {commonest}",
-        report.num_visible
+        "{target}: {missing} of {} frames not registered ({}); most frequent reason: {commonest}",
+        report.num_visible,
+        ranges(&frames)
     )));
 }
 
 /// Ascending numbers in words: "3 to 7, 9", the first few ranges of them.
-fn ranges(numbers: impl Iterator<Item = u32>) -> String {
-    // Ranges in a message.
-    const MOST: usize = 5;
-    let mut ranges: Vec<[u32; 2]> = Vec::new();
-    for number in numbers {
-        match ranges.last_mut() {
-            Some([_, last]) if *last + 1 == number => *last = number,
-            _ => ranges.push([number, number]),
-        }
+fn ranges(numbers: &[u32]) -> String {
+    let word = |run: &[u32]| match run {
+        [first, .., last] => format!("{first} to {last}"),
+        _ => run.iter().map(u32::to_string).collect(),
+    };
+    let words: Vec<String> = numbers.chunk_by(|a, b| a + 1 == *b).map(word).collect();
+    match words.split_at_checked(5) {
+        Some((shown, more)) if !more.is_empty() => format!("{} and {} more ranges", shown.join(", "), more.len()),
+        _ => words.join(", "),
     }
-    let word = |[first, last]: &[u32; 2]| if first == last { first.to_string() } else { format!("{first} to {last}") };
-    let words: Vec<String> = ranges.iter().take(MOST).map(word).collect();
-    let more = ranges.len().saturating_sub(MOST);
-    if more == 0 { words.join(", ") } else { format!("{} and {more} more ranges", words.join(", ")) }
 }
 
 #[cfg(test)]
@@ -329,8 +325,8 @@ mod tests {
 
     #[test]
     fn missing_frames_are_named_in_ranges() {
-        assert_eq!(ranges([3, 4, 5, 9, 11, 12].into_iter()), "3 to 5, 9, 11 to 12");
-        assert_eq!(ranges((0..14).step_by(2)), "0, 2, 4, 6, 8 and 2 more ranges");
+        assert_eq!(ranges(&[3, 4, 5, 9, 11, 12]), "3 to 5, 9, 11 to 12");
+        assert_eq!(ranges(&[0, 2, 4, 6, 8, 10, 12]), "0, 2, 4, 6, 8 and 2 more ranges");
     }
 
     #[test]

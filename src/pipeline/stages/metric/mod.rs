@@ -155,7 +155,10 @@ fn find(
     alike.warn(outcome);
     sources.extend(alike.source.clone());
     let Some(fused) = fuse(&sources) else {
-        let unknown = MetricResult::unknown(NOTHING);
+        let unknown = MetricResult::unknown(
+            "no source of scale: no matching telemetry, no known length, no vehicle of a class with known sizes; give \
+             --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale METERS",
+        );
         return Ok(MetricResult { metric: Metric { dates, ..unknown.metric }, ..unknown });
     };
     warn_of_contradictions(&fused, outcome);
@@ -201,10 +204,6 @@ fn nominal_frame(
     let scale = median(distances).map_or(1.0, |distance| NOMINAL_DISTANCE_M / distance);
     frame_on_ground(&Fused::of_scale(scale, 0.0), &ground.level(background))
 }
-
-/// Why metres are unknown.
-const NOTHING: &str = "no source of scale: no matching telemetry, no known length, no vehicle of a class with known \
-     sizes; give --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale METERS";
 
 /// On what the metres rest, and how well they are known.
 fn sentence(fused: &Fused, frame: &MetricFrame) -> String {

@@ -18,6 +18,7 @@ pub(super) struct Placing<'a> {
     pub(super) frame: &'a MetricFrame,
     pub(super) map: Option<LocalFrame>,
     pub(super) images: BTreeMap<&'a str, &'a Image>,
+    /// Standard deviation of the direction to an object's middle, radians: a pixel.
     direction_std: f64,
     poses: &'a PoseCovariances,
     /// Unit of the frames' times: only with seconds are there speeds.
@@ -29,9 +30,6 @@ pub(super) struct Placing<'a> {
 /// Time from frame to frame where none is known, seconds: image sequences of traffic have 10 to 30 frames a second. It
 /// sets only how sharply a vehicle may turn from frame to frame, within the decades over which the smoother searches.
 const NOMINAL_STEP_S: f64 = 0.1;
-
-/// Deviation of an object's middle in the picture, pixels.
-const PIXEL_STD: f64 = 1.0;
 
 impl<'a> Placing<'a> {
     pub(super) fn new(
@@ -45,7 +43,7 @@ impl<'a> Placing<'a> {
         let images: BTreeMap<&str, &Image> =
             background.images.values().map(|image| (image.name.as_str(), image)).collect();
         let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
-        Self { frame, map, images, direction_std: PIXEL_STD / focal, poses, times, movements }
+        Self { frame, map, images, direction_std: 1.0 / focal, poses, times, movements }
     }
 
     /// Fills in all metric values.

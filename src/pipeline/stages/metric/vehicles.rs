@@ -156,15 +156,12 @@ pub(super) fn correct_classes(
     for trajectory in objects.iter_mut().filter(|trajectory| !trajectory.is_ruled_out()) {
         if is_car_by_size(&extents(trajectory, sizes), known) {
             let says = format!("size of a car; detected as {}", trajectory.class);
-            trajectory.class = CAR.to_owned();
+            trajectory.class = "car".to_owned();
             let verdict = trajectory.verdict.take();
             trajectory.verdict = verdict.map(|verdict| with_reason(verdict, Reason::supports(ReasonKind::Size, says)));
         }
     }
 }
-
-/// Label of cars, as detectors have it.
-const CAR: &str = "car";
 
 /// Adds a doubt to the verdict on every vehicle whose proportions are those of no vehicle of its class, or whose size
 /// contradicts meters from other sources.
@@ -211,15 +208,12 @@ fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> V
     let is_unconfirmed = is_doubtful(trajectory) || is_guessed(&trajectory.scale);
     let extent = |dimension| {
         let Estimate { value, std } = size.of(dimension)?;
-        // The deviation of a size has that of the ratio in it.
-        let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(MIN_STD * value);
+        // The deviation of a size has that of the ratio in it. No size is known better than to a thousandth.
+        let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(1e-3 * value);
         Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std, is_unconfirmed })
     };
     [Dimension::Length, Dimension::Width, Dimension::Height].into_iter().filter_map(extent).collect()
 }
-
-/// No extent is known better, as a share.
-const MIN_STD: f64 = 1e-3;
 
 #[cfg(test)]
 mod tests {

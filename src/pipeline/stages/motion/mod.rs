@@ -31,8 +31,6 @@ use point_tracks::Followed;
 
 pub(in crate::pipeline) const PREFIX: &str = "motion-";
 const LABELS: &str = "labels.bin";
-/// Class of a vehicle that was found by its motion alone.
-const CLASS: &str = "vehicle";
 
 /// The points of a run and what is known of each.
 #[derive(Debug, Default)]
@@ -166,7 +164,7 @@ fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Resul
     let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
     for object in found {
         for (&index, &rect) in &object.boxes {
-            let (class, confidence, finder) = (CLASS.to_owned(), object.confidence, DetectionSource::Motion);
+            let (class, confidence, finder) = ("vehicle".to_owned(), object.confidence, DetectionSource::Motion);
             boxes.entry(index).or_default().push(BoxDetection { class, confidence, rect, finder });
         }
     }

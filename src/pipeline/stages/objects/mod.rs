@@ -39,11 +39,6 @@ const REPORTS: &str = "objects-report.json";
 const HOVERING: &str = "hovering-ground.json";
 /// Why there is no model where it is not the object's fault.
 const NO_BACKGROUND: &str = "no background to place it in";
-/// Why a vehicle that is not known to move has no model below a camera that does not translate.
-const NO_MOTION: &str = "neither the camera nor the vehicle moves, so its shape has no depth";
-/// Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
-const BORDER_PX: f64 = 1.0;
-const BORDER: f64 = 0.01;
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let given: Result<BTreeMap<_, _>, PipelineError> =
@@ -236,7 +231,9 @@ fn one_object(
     let (model, mut report) = match (given, place.camera) {
         (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
-        (None, Some(_)) if place.hovers && object.movement.state != Movement::Moving => failed(NO_MOTION.to_owned()),
+        (None, Some(_)) if place.hovers && object.movement.state != Movement::Moving => {
+            failed("neither the camera nor the vehicle moves, so its shape has no depth".to_owned())
+        }
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
@@ -267,10 +264,10 @@ fn one_object(
     Ok(marker)
 }
 
-/// A mask, grown by what its border may be off.
+/// A mask, grown by what its border may be off: a pixel, and a hundredth of its longer side.
 fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
     let longer_px = f64::from(bounds.width().max(bounds.height()));
-    mask.dilated((BORDER_PX + BORDER * longer_px).round() as u32)
+    mask.dilated((1.0 + 0.01 * longer_px).round() as u32)
 }
 
 /// A reconstruction that is being compared with the masks.

@@ -9,9 +9,6 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::scene::{DetectionCounts, FrameId, ObjectId, Outline, TrackedObject};
 
-/// Class of objects in given masks, which state none.
-const CLASS: &str = "vehicle";
-
 /// Writes one mask per label of the given label maps into `folder`.
 pub(super) fn split(
     run: &Run,
@@ -42,7 +39,8 @@ pub(super) fn split(
 fn object(id: ObjectId, frames: Vec<FrameId>) -> TrackedObject {
     TrackedObject {
         id,
-        class: CLASS.to_owned(),
+        // Given masks state no class.
+        class: "vehicle".to_owned(),
         confidence: 1.0,
         found_in: DetectionCounts { given: frames.len(), ..DetectionCounts::default() },
         outline: Outline::Given,

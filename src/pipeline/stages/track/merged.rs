@@ -57,7 +57,7 @@ pub(super) fn join_pieces(
 ) -> Result<(), PipelineError> {
     keep_real_gaps(followed, run.frames()?);
     let candidates = candidates(run, folder, followed)?;
-    if candidates.is_empty() {
+    if candidates.pairs.is_empty() {
         return Ok(());
     }
     let pieces = &candidates.pieces;
@@ -97,25 +97,16 @@ struct Candidates {
 }
 
 impl Candidates {
-    fn is_empty(&self) -> bool {
-        self.pairs.is_empty()
-    }
-
     /// The frames of each piece in which it is to be looked at.
     fn views(&self) -> BTreeMap<usize, BTreeSet<FrameId>> {
         let mut views: BTreeMap<usize, BTreeSet<FrameId>> = BTreeMap::new();
         for pair in &self.pairs {
-            for (piece, course) in self.ends(pair).into_iter().flatten() {
-                views.entry(piece).or_default().extend(frames_of(course));
+            let (end, beginning) = (&self.pieces[pair.before].end, &self.pieces[pair.after].beginning);
+            for (piece, course) in [(pair.before, end), (pair.after, beginning)] {
+                views.entry(piece).or_default().extend(course.iter().flat_map(frames_of));
             }
         }
         views
-    }
-
-    fn ends(&self, pair: &Pair) -> [Option<(usize, &EndMotion)>; 2] {
-        let before = self.pieces[pair.before].end.as_ref().map(|course| (pair.before, course));
-        let after = self.pieces[pair.after].beginning.as_ref().map(|course| (pair.after, course));
-        [before, after]
     }
 }
 
