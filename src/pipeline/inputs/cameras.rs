@@ -114,17 +114,15 @@ pub(in crate::pipeline) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usiz
 }
 
 /// Leaves out the frames of a video that have another size than the first one, and says of each why.
-pub(in crate::pipeline) fn of_one_size(source: &Source, frames: Vec<Frame>) -> (Vec<Frame>, Vec<Warning>) {
+pub(in crate::pipeline) fn of_one_size(source: &Source, mut frames: Vec<Frame>) -> (Vec<Frame>, Vec<Warning>) {
     let mut said = Vec::new();
-    let mut is_alike = |frame: &Frame| match source.of_another_size(frame) {
-        Some(reason) => {
-            said.push(reason);
-            false
-        }
-        None => true,
-    };
-    let kept = frames.into_iter().filter(&mut is_alike).collect();
-    (kept, said)
+    frames.retain(|frame| {
+        let reason = source.of_another_size(frame);
+        let is_alike = reason.is_none();
+        said.extend(reason);
+        is_alike
+    });
+    (frames, said)
 }
 
 /// Images of several sizes that `--intrinsics` does not cover.

@@ -134,8 +134,9 @@ fn unknown(path: &str, name: &str, names: &[&str]) -> OptionError {
     OptionError::new(join(path, name), format!("unknown option{meant} Options of {place}: {}", names.join(", ")))
 }
 
-/// Suggestion for an unknown key: its nearest neighbor in the group, if it is misspelt (similarity from 0.85), or else its namesakes elsewhere.
+/// Suggestion for an unknown key: the key of the group that is nearly the same, or else its namesakes elsewhere.
 fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
+    // Keys of a similarity from 0.85 (Jaro and Winkler, 0 to 1) count as misspelt.
     let near = names.iter().map(|other| (strsim::jaro_winkler(name, other), other)).filter(|(near, _)| *near >= 0.85);
     if let Some((_, nearest)) = near.max_by(|a, b| a.0.total_cmp(&b.0)) {
         return Some(spelled(&join(path, nearest)));

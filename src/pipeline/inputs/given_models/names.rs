@@ -62,22 +62,17 @@ fn index(name: &str) -> String {
     stem(name).parse::<u32>().map_or_else(|_| stem(name).to_owned(), |index| index.to_string())
 }
 
-type OfFrame<'a> = &'a dyn Fn(&Frame) -> String;
-type OfName<'a> = &'a dyn Fn(&str) -> String;
-
 fn frames_of<'a>(images: &BTreeMap<ImageId, Image>, frames: &'a [Frame]) -> BTreeMap<ImageId, &'a Frame> {
-    let of_frame: [OfFrame; 3] = [&|f| f.name.clone(), &|f| f.stem().to_owned(), &|f| f.id.0.to_string()];
-    let of_name: [OfName; 3] = [&|n| n.to_owned(), &|n| stem(n).to_owned(), &index];
-    let whole: OfName = &|n| n.to_owned();
-    let without_folders: OfName = &|n| file_name(n).to_owned();
-    let tried = [whole, without_folders].into_iter().flat_map(|part| {
-        of_frame.iter().zip(of_name).map(move |(of_frame, of_name)| {
-            let by_key: BTreeMap<String, &Frame> = frames.iter().map(|frame| (of_frame(frame), frame)).collect();
-            let found = |(&id, image): (&ImageId, &Image)| Some((id, *by_key.get(&of_name(&part(&image.name)))?));
-            images.iter().filter_map(found).collect::<BTreeMap<_, _>>()
-        })
-    });
-    tried.into_iter().find(|found| !found.is_empty()).unwrap_or_default()
+    let of_frame = |frame: &Frame| [frame.name.clone(), frame.stem().to_owned(), frame.id.0.to_string()];
+    let of_name = |name: &str| [name.to_owned(), stem(name).to_owned(), index(name)];
+    let found = |is_whole: bool, key: usize| -> BTreeMap<ImageId, &'a Frame> {
+        let by_key: BTreeMap<String, &Frame> =
+            frames.iter().map(|frame| (of_frame(frame)[key].clone(), frame)).collect();
+        let key_of = |image: &Image| of_name(if is_whole { image.name.as_str() } else { file_name(&image.name) })[key].clone();
+        images.iter().filter_map(|(&id, image)| Some((id, *by_key.get(&key_of(image))?))).collect()
+    };
+    let tried = [true, false].into_iter().flat_map(|is_whole| [0, 1, 2].map(|key| (is_whole, key)));
+    tried.map(|(is_whole, key)| found(is_whole, key)).find(|found| !found.is_empty()).unwrap_or_default()
 }
 
 fn nothing_in_common(path: &Path, model: &Reconstruction, frames: &[Frame]) -> String {

@@ -76,15 +76,8 @@ pub(in crate::pipeline) fn doubts(camera: &Camera) -> Vec<Warning> {
 }
 
 /// The given calibrations of a model's cameras: those of the options, or those of a given model.
-///
-/// # Errors
-/// Those of reading the calibration.
-pub(super) fn given(
-    run: &Run,
-    model: &Reconstruction,
-    is_model_given: bool,
-) -> Result<Vec<(CameraId, Camera)>, PipelineError> {
-    if is_model_given {
+fn given(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<(CameraId, Camera)>, PipelineError> {
+    if is_given {
         return Ok(model.cameras.iter().map(|(id, camera)| (*id, *camera)).collect());
     }
     let initial = (1..).map(CameraId).zip(cameras::initial(run)?);
@@ -96,11 +89,10 @@ pub(super) fn given(
 /// focal length of a given model.
 ///
 /// # Errors
-/// Those of starting threads.
+/// Those of reading the calibrations and of starting threads.
 pub(super) fn check_fit(
     run: &Run,
     model: &Reconstruction,
-    given: &[(CameraId, Camera)],
     report: &mut ModelReport,
     outcome: &mut Outcome,
 ) -> Result<(), PipelineError> {
@@ -108,7 +100,7 @@ pub(super) fn check_fit(
     // Those that are held are compared all the same.
     let known = if std.is_fixed() { Intrinsics::GIVEN } else { std };
     let first = model.cameras.keys().next();
-    for (id, camera) in given {
+    for (id, camera) in &given(run, model, report.given)? {
         // What leaves the intrinsics undetermined speaks against none.
         let Ok(Some(fit)) = on_threads(run.options.threads, || mapper::calibration_fit(model, *id, camera, known))?
         else {

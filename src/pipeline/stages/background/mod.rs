@@ -66,8 +66,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
         if order::found(run)?.in_time {
             report.focal_changes = focal_changes(run, &model, report.given)?;
         }
-        let given = calibration_check::given(run, &model, report.given)?;
-        calibration_check::check_fit(run, &model, &given, &mut report, &mut outcome)?;
+        calibration_check::check_fit(run, &model, &mut report, &mut outcome)?;
     }
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.size()));
@@ -167,16 +166,13 @@ fn prior_std(
     is_given: bool,
 ) -> Result<BTreeMap<CameraId, [f64; NUM_INTRINSICS]>, PipelineError> {
     let initial = if is_given { Vec::new() } else { cameras::initial(run)? };
+    // The cameras of a reconstructed model count from 1.
+    let initial_of = |id: &CameraId| initial.get((id.0 as usize).checked_sub(1)?);
     let known = |id: &CameraId| match is_given {
         true => run.options.intrinsics_std,
-        false => place_of(*id).and_then(|place| initial.get(place)).map_or(mapper::Intrinsics::GUESSED, |c| c.known),
+        false => initial_of(id).map_or(mapper::Intrinsics::GUESSED, |initial| initial.known),
     };
     Ok(model.cameras.iter().map(|(id, camera)| (*id, known(id).std_of(camera))).collect())
-}
-
-/// Index of a camera of a reconstructed model among the initial ones.
-fn place_of(id: CameraId) -> Option<usize> {
-    (id.0 as usize).checked_sub(1)
 }
 
 /// Standard deviations of the camera positions, in units of the background; `None` where there is too little data.

@@ -24,31 +24,22 @@ pub(in crate::pipeline) const BACKGROUND: &str = "background";
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
     let cameras: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.camera).collect();
     let (background, _) = order::sfm_options(run)?;
+    // No stage before this one reads given masks.
+    let masks = match &run.options.instances {
+        Instances::Masks(folder) => Some(fingerprint::of_content(folder)?),
+        Instances::None | Instances::Model(_) | Instances::Vehicles => None,
+    };
+    // A log may have positions of unordered photographs by name; those inside of them are part of the input.
+    let positions = if order::found(run)?.in_time { Vec::new() } else { telemetry::fingerprints(run) };
     Ok(json!({
         "cameras": cameras,
         "masking": run.options.masking,
         "background": background.front_end,
         "given_background": run.options.background_model.is_some(),
-        "masks": given_masks(run)?,
-        "positions": given_positions(run)?,
+        "masks": masks,
+        "positions": positions,
         "seed": run.options.seed,
     }))
-}
-
-/// A log that may have positions of unordered photographs by name; those inside of them are part of the input.
-fn given_positions(run: &Run) -> Result<Vec<Option<String>>, PipelineError> {
-    if order::found(run)?.in_time {
-        return Ok(Vec::new());
-    }
-    Ok(telemetry::fingerprints(run))
-}
-
-/// The masks that are given, which no stage before this one reads.
-fn given_masks(run: &Run) -> Result<Option<String>, PipelineError> {
-    match &run.options.instances {
-        Instances::Masks(folder) => Ok(Some(fingerprint::of_content(folder)?)),
-        Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(None),
-    }
 }
 
 pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
