@@ -13,6 +13,9 @@ use crate::report::ReportError;
 use crate::telemetry::TelemetryError;
 use crate::video::VideoError;
 
+/// Result of what a run does.
+pub type Result<T, E = PipelineError> = std::result::Result<T, E>;
+
 /// Why a run ends without a result. What concerns single frames or objects is no error: it is counted and reported.
 #[derive(Debug, thiserror::Error)]
 pub enum PipelineError {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::stages::report;
-use super::{PipelineError, Workspace};
+use super::{PipelineError, Result, Workspace};
 use crate::checks::text::with_causes;
 use crate::eval::{self, AsReconstructed, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame};
 use crate::io::{IoError, RunFolder, Sequence, SequenceFrame, atomic, masks};
@@ -15,7 +15,7 @@ use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Tr
 /// # Errors
 /// A sequence that cannot be read, or an output folder that is not there. What is missing *in* the output is part of
 /// the evaluation.
-pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation, PipelineError> {
+pub fn evaluate(output: &Path, truth: &Path) -> Result<Evaluation> {
     let sequence = Sequence::open(truth)?;
     if !output.is_dir() {
         let text = format!("{}: not a folder; run `tractrix run` first", output.display());
@@ -39,7 +39,7 @@ pub enum SavedEvaluation {
 ///
 /// # Errors
 /// [`PipelineError::Folder`] where another run is at work on the folder, or something stands in the way.
-pub fn keep_evaluation(output: &Path, truth: &Path, evaluation: &Evaluation) -> Result<SavedEvaluation, PipelineError> {
+pub fn keep_evaluation(output: &Path, truth: &Path, evaluation: &Evaluation) -> Result<SavedEvaluation> {
     if !Workspace::is_own(output) {
         return Ok(SavedEvaluation::Nowhere);
     }

@@ -30,7 +30,7 @@ pub use driver::run::StageRecord;
 pub use driver::run_json::run_json_schema;
 pub use driver::stage::Stage;
 pub use driver::workspace::{Marker, Overwrite, Workspace};
-pub use error::PipelineError;
+pub use error::{PipelineError, Result};
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
 pub use inputs::alignment::map_origin;
 pub use inputs::attitude::orientation as gimbal_orientation;
@@ -122,7 +122,7 @@ pub struct Job<'a> {
 /// # Errors
 /// [`PipelineError`] when there can be no result; what concerns single frames or objects is counted and reported
 /// instead.
-pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError> {
+pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary> {
     let Job { options, goal, .. } = *job;
     options.check()?;
     metric::check(options)?;
@@ -156,7 +156,7 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary, PipelineError>
 }
 
 /// Writes the page of `tractrix sfm`, unless a whole run with the same models has left its page.
-fn page_of_models(run: &Run) -> Result<(), PipelineError> {
+fn page_of_models(run: &Run) -> Result<()> {
     let has_page = run.all_reused() && run.workspace.marker(Stage::Report).is_some();
     if run.goal != Stage::Objects || has_page {
         return Ok(());
@@ -166,7 +166,7 @@ fn page_of_models(run: &Run) -> Result<(), PipelineError> {
 }
 
 /// Says that nothing is left to be done, unless there is, or a file has changed since the run began.
-fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summary) -> Result<(), PipelineError> {
+fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summary) -> Result<()> {
     let is_whole = job.goal == Stage::Report && summary.failure().is_none();
     match is_whole && Identity::of(job.input, job.options) == of {
         true => workspace.set_ended(&Completion::new(of, job.options, None)),
@@ -174,7 +174,7 @@ fn leave_record(job: &Job, workspace: &Workspace, of: Identity, summary: &Summar
     }
 }
 
-fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
+fn summary(job: &Job, run: Run) -> Result<Summary> {
     let background = (job.goal >= Stage::Background).then(|| background::background_report(&run)).transpose()?;
     let vehicles = vehicles(&run, job.goal)?;
     let (output, warnings, num_frames) = (job.output.to_owned(), run.warnings(), run.frames()?.len());
@@ -182,7 +182,7 @@ fn summary(job: &Job, run: Run) -> Result<Summary, PipelineError> {
     Ok(Summary { output, stages: run.records, num_frames, time_base, background, vehicles, warnings })
 }
 
-fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>, PipelineError> {
+fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>> {
     if goal < Stage::Objects {
         return Ok(BTreeMap::new());
     }
@@ -207,7 +207,7 @@ impl Job<'_> {
     }
 }
 
-fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<(), PipelineError> {
+fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<()> {
     run.goal = goal;
     preflight::check_camera(run)?;
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
@@ -222,7 +222,7 @@ fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>)
     Ok(())
 }
 
-fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineError> {
+fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<()> {
     // The page shows the command line and what every stage cost, so it is made again whenever anything was done.
     if stage == Stage::Report && !run.all_reused() {
         run.workspace.clear_marker(stage)?;
@@ -232,7 +232,7 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<(), PipelineErr
 }
 
 /// Everything that a stage's result depends on besides the stages before it.
-fn cache_key(run: &Run, stage: Stage, input: &str) -> Result<Value, PipelineError> {
+fn cache_key(run: &Run, stage: Stage, input: &str) -> Result<Value> {
     Ok(match stage {
         Stage::Frames => frames::cache_key(run, input),
         Stage::Segment => segment::cache_key(run)?,
@@ -262,7 +262,7 @@ fn intermediates(stage: Stage) -> &'static [&'static str] {
     }
 }
 
-fn run_stage(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, PipelineError> {
+fn run_stage(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome> {
     match stage {
         Stage::Frames => frames::run_stage(run),
         Stage::Segment => segment::run_stage(run, fingerprint),
@@ -281,7 +281,7 @@ fn run_stage(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome, Pipe
 
 /// The stages up to the goal that no earlier run has done with the options and the input of this one; `frames` must be
 /// done.
-fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>, PipelineError> {
+fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>> {
     let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
     if stages.iter().skip(1).all(|&stage| run.workspace.marker(stage).is_none()) {
         return Ok(stages);

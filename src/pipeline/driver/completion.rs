@@ -20,7 +20,7 @@ use crate::ffi::onnx::{self, Provider};
 use crate::io::{RunFolder, atomic};
 use crate::networks::default_models;
 use crate::pipeline::inputs::telemetry;
-use crate::pipeline::{Instances, Options, PipelineError, Stage, TelemetryChoice};
+use crate::pipeline::{Instances, Options, Result, Stage, TelemetryChoice};
 
 /// The record's file, in the folder for the run's own state.
 const RECORD: &str = "ended.json";
@@ -180,13 +180,8 @@ impl Completion {
     /// Leaves word in an output folder that a run failed, so that whoever collects results knows why.
     ///
     /// # Errors
-    /// [`PipelineError`] if the folder is not a run's own, or another process is at work there.
-    pub fn note_failure(
-        output: &Path,
-        of: Identity,
-        options: &Options,
-        failed: RunFailure,
-    ) -> Result<(), PipelineError> {
+    /// The folder is not a run's own, or another process is at work there.
+    pub fn note_failure(output: &Path, of: Identity, options: &Options, failed: RunFailure) -> Result<()> {
         Workspace::open(output)?.set_ended(&Self::new(of, options, Some(failed)))
     }
 }
@@ -206,12 +201,12 @@ fn other_options(keys: &[String], recorded: &Options, asked: &Options) -> String
 
 impl Workspace {
     /// Says how the run ended. All that it made must be in its place before.
-    pub(in crate::pipeline) fn set_ended(&self, ended: &Completion) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn set_ended(&self, ended: &Completion) -> Result<()> {
         self.write_state(RECORD, ended)
     }
 
     /// Says that a run is under way. To be called before anything is touched.
-    pub(in crate::pipeline) fn clear_ended(&self) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn clear_ended(&self) -> Result<()> {
         Ok(atomic::remove(&self.state(RECORD))?)
     }
 }

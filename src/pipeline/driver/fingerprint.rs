@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use sha2::{Digest, Sha256};
 
 use crate::files;
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{PipelineError, Result, Stage};
 
 /// Hash of anything that can be written as JSON, and of the code: a program built from other sources has another one.
 pub(in crate::pipeline) fn of_value(value: &impl Serialize) -> String {
@@ -32,7 +32,7 @@ pub(in crate::pipeline) fn of_stage(stage: Stage, cache_key: &Value, upstream: &
 ///
 /// # Errors
 /// [`PipelineError::Unreadable`] names the file.
-pub(in crate::pipeline) fn of_content(path: &Path) -> Result<String, PipelineError> {
+pub(in crate::pipeline) fn of_content(path: &Path) -> Result<String> {
     let unreadable = |source| PipelineError::Unreadable { path: path.to_owned(), source };
     if !path.is_dir() {
         return of_file(path).map_err(unreadable);
@@ -61,7 +61,7 @@ pub(in crate::pipeline) fn of_content(path: &Path) -> Result<String, PipelineErr
 ///
 /// # Errors
 /// As [`of_content`].
-pub(in crate::pipeline) fn of_files(paths: &[PathBuf]) -> Result<String, PipelineError> {
+pub(in crate::pipeline) fn of_files(paths: &[PathBuf]) -> Result<String> {
     if let [only] = paths {
         return of_content(only);
     }

@@ -12,14 +12,14 @@ use sha2::{Digest, Sha256};
 
 use crate::files;
 use crate::io::{IoError, atomic};
-use crate::pipeline::PipelineError;
+use crate::pipeline::{PipelineError, Result};
 use crate::scene::Frame;
 
 /// Reads an intermediate file piece by piece: reading it whole would take the memory of its content twice.
 ///
 /// # Errors
 /// [`PipelineError::State`] for one that is damaged or missing, [`IoError::System`] for one that cannot be read.
-pub(in crate::pipeline) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, PipelineError> {
+pub(in crate::pipeline) fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let file = match files::open_within_memory(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Err(damaged(path, "missing")),
         opened => opened.map_err(IoError::system("read", path))?,
@@ -36,7 +36,7 @@ pub(in crate::pipeline) fn read<T: DeserializeOwned>(path: &Path) -> Result<T, P
 ///
 /// # Errors
 /// [`PipelineError::Io`] if the file cannot be written.
-pub(in crate::pipeline) fn write(path: &Path, value: &impl Serialize) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn write(path: &Path, value: &impl Serialize) -> Result<()> {
     let written = atomic::write_with(path, |out| {
         let mut writer = Checked::new(out);
         let done = postcard::to_io(value, &mut writer);

@@ -9,7 +9,7 @@ use super::workspace::read_state;
 use super::{fingerprint, intermediate};
 use crate::io::{RunFolder, json};
 use crate::pipeline::inputs::cameras;
-use crate::pipeline::{Completion, FeatureKind, FrameOrder, Instances, Options, PipelineError, Workspace};
+use crate::pipeline::{Completion, FeatureKind, FrameOrder, Instances, Options, PipelineError, Result, Workspace};
 use crate::scene::Frame;
 use crate::video::{self, Source};
 
@@ -42,7 +42,7 @@ struct OptionsJson {
 /// # Errors
 /// A folder without `run.json`; an input that is not there or cannot be read; [`PipelineError::OtherInput`] for a file
 /// at its place from which the results were not made.
-pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source, PipelineError> {
+pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source> {
     let told: RunJson = json::read(&RunFolder::at(output).run_json())?;
     let OptionsJson { video, instances, features, order, background_model } = told.options;
     let options = Options { video, instances, features, order, background_model, ..Options::default() };
@@ -57,7 +57,7 @@ pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source, PipelineErr
 ///
 /// # Errors
 /// [`PipelineError::OtherInput`]. A path at which there is nothing is for the caller.
-pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<()> {
     if !input.exists() || Completion::of_folder(output).is_some_and(|ended| ended.is_of_files(input)) {
         return Ok(());
     }

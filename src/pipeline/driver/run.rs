@@ -11,7 +11,7 @@ use super::cost::Meter;
 use super::workspace::{Marker, Workspace};
 use super::{fingerprint, intermediate};
 use crate::ffi::memory;
-use crate::pipeline::{Options, PipelineError, Progress, Stage};
+use crate::pipeline::{Options, PipelineError, Progress, Result, Stage};
 use crate::scene::{Frame, Warning};
 use crate::video::{Info, Source};
 
@@ -117,7 +117,7 @@ impl<'a> Run<'a> {
     }
 
     /// The chosen frames; the stage `frames` must be done.
-    pub(in crate::pipeline) fn frames(&self) -> Result<&[Frame], PipelineError> {
+    pub(in crate::pipeline) fn frames(&self) -> Result<&[Frame]> {
         if self.frames.get().is_none() {
             let frames = intermediate::checked_frames(self.workspace.read_state(FRAMES)?)
                 .map_err(|flaw| intermediate::damaged(&self.workspace.state(FRAMES), flaw))?;
@@ -130,7 +130,7 @@ impl<'a> Run<'a> {
     ///
     /// # Errors
     /// As [`Self::go_on`].
-    pub(in crate::pipeline) fn step(&self) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn step(&self) -> Result<()> {
         self.progress.step();
         self.go_on()
     }
@@ -139,7 +139,7 @@ impl<'a> Run<'a> {
     ///
     /// # Errors
     /// [`PipelineError::Stopped`].
-    pub(in crate::pipeline) fn go_on(&self) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn go_on(&self) -> Result<()> {
         match self.progress.is_stopped() {
             true => Err(PipelineError::Stopped),
             false => Ok(()),
@@ -154,8 +154,8 @@ impl<'a> Run<'a> {
         &mut self,
         stage: Stage,
         cache_key: Value,
-        run_stage: impl FnOnce(&Self, &str) -> Result<Outcome, PipelineError>,
-    ) -> Result<(), PipelineError> {
+        run_stage: impl FnOnce(&Self, &str) -> Result<Outcome>,
+    ) -> Result<()> {
         self.go_on()?;
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
         let fingerprint = fingerprint::of_stage(stage, &cache_key, &upstream);
@@ -191,12 +191,7 @@ impl<'a> Run<'a> {
     }
 
     /// Writes a value of the run's own for later stages, as an output of the stage at work.
-    pub(in crate::pipeline) fn keep(
-        &self,
-        name: &str,
-        value: &impl Serialize,
-        outcome: &mut Outcome,
-    ) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn keep(&self, name: &str, value: &impl Serialize, outcome: &mut Outcome) -> Result<()> {
         outcome.outputs.push(self.workspace.state(name));
         self.workspace.write_state(name, value)
     }

@@ -9,7 +9,7 @@ use serde_json::{Map, Value};
 use super::cost::Cost;
 use super::run::Run;
 use crate::io::{atomic, json};
-use crate::pipeline::{Method, PipelineError};
+use crate::pipeline::{Method, Result};
 use crate::scene::TimeBase;
 use crate::video::Info;
 
@@ -63,7 +63,7 @@ pub fn run_json_schema() -> Schema {
 }
 
 /// Writes `run.json` again from what the stages left behind. `error` says why the run ended before its end.
-pub(in crate::pipeline) fn write(run: &Run, error: Option<&str>) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn write(run: &Run, error: Option<&str>) -> Result<()> {
     let mut stages = Map::new();
     for record in &run.records {
         let marker = &record.marker;

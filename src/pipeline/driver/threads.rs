@@ -1,13 +1,10 @@
 //! Work on as many threads as the options ask for.
 
 use crate::checks::OptionError;
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 
 /// Runs `task` on so many threads: on those of the caller's pool, unless another number is asked for.
-pub(in crate::pipeline) fn on_threads<T: Send>(
-    threads: Option<usize>,
-    task: impl FnOnce() -> T + Send,
-) -> Result<T, PipelineError> {
+pub(in crate::pipeline) fn on_threads<T: Send>(threads: Option<usize>, task: impl FnOnce() -> T + Send) -> Result<T> {
     let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else {
         return Ok(task());
     };

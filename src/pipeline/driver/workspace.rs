@@ -13,7 +13,7 @@ use super::fingerprint;
 use super::intermediate::damaged;
 use crate::files;
 use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{PipelineError, Result, Stage};
 use crate::scene::ObjectId;
 
 /// An output folder that this process has for itself. What lies where in it is [`RunFolder`]'s to say.
@@ -71,7 +71,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`PipelineError::Folder`] says what is in the way.
-    pub fn inspect(output: &Path, inputs: &[(&str, &Path)]) -> Result<(), PipelineError> {
+    pub fn inspect(output: &Path, inputs: &[(&str, &Path)]) -> Result<()> {
         OwnedFolder::inspect(output, RunFolder::MADE_BY, RunFolder::place)?;
         for (flag, input) in inputs {
             refuse_own_input(output, RunFolder::place, flag, input)?;
@@ -83,7 +83,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`PipelineError::Folder`] if it is not a run's own, cannot be written to, or if another run has it.
-    pub fn open(output: &Path) -> Result<Self, PipelineError> {
+    pub fn open(output: &Path) -> Result<Self> {
         let owned = OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place)?;
         let places = RunFolder::at(owned.root());
         Ok(Self { owned, places })
@@ -98,7 +98,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`PipelineError::Folder`] where it is not.
-    pub fn claim(&self, input: InputIdentity, overwrite: Overwrite) -> Result<(), PipelineError> {
+    pub fn claim(&self, input: InputIdentity, overwrite: Overwrite) -> Result<()> {
         Ok(self.owned.claim(input, overwrite == Overwrite::AnyInput)?)
     }
 
@@ -116,7 +116,7 @@ impl Workspace {
     ///
     /// # Errors
     /// What `fill` says, or [`PipelineError::Folder`].
-    pub fn put_file<E>(&self, path: &Path, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<(), PipelineError>
+    pub fn put_file<E>(&self, path: &Path, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<()>
     where
         PipelineError: From<E>,
     {
@@ -127,11 +127,7 @@ impl Workspace {
     ///
     /// # Errors
     /// As [`Self::put_file`].
-    pub fn put_folder<T>(
-        &self,
-        path: &Path,
-        fill: impl FnOnce(&Path) -> Result<T, PipelineError>,
-    ) -> Result<T, PipelineError> {
+    pub fn put_folder<T>(&self, path: &Path, fill: impl FnOnce(&Path) -> Result<T>) -> Result<T> {
         self.owned.put_folder(path, fill)
     }
 
@@ -139,7 +135,7 @@ impl Workspace {
     ///
     /// # Errors
     /// [`PipelineError::Folder`] if the system refuses.
-    pub fn remove(&self, path: &Path) -> Result<(), PipelineError> {
+    pub fn remove(&self, path: &Path) -> Result<()> {
         Ok(self.owned.remove(path)?)
     }
 
@@ -147,7 +143,7 @@ impl Workspace {
     ///
     /// # Errors
     /// As [`Self::remove`].
-    pub fn keep_objects(&self, folder: &Path, keep: impl Fn(ObjectId) -> bool) -> Result<(), PipelineError> {
+    pub fn keep_objects(&self, folder: &Path, keep: impl Fn(ObjectId) -> bool) -> Result<()> {
         let others = RunFolder::ids_in(folder).into_iter().filter(|id| !keep(*id));
         others.into_iter().try_for_each(|id| self.remove(&folder.join(id.to_string())))
     }
@@ -168,12 +164,12 @@ impl Workspace {
     }
 
     /// Says that a stage is done. Everything that it made must be in its place before.
-    pub fn set_marker(&self, stage: Stage, marker: &Marker) -> Result<(), PipelineError> {
+    pub fn set_marker(&self, stage: Stage, marker: &Marker) -> Result<()> {
         self.write_state(&marker_name(stage), marker)
     }
 
     /// Says that a stage is not done. To be called before its results are touched.
-    pub fn clear_marker(&self, stage: Stage) -> Result<(), PipelineError> {
+    pub fn clear_marker(&self, stage: Stage) -> Result<()> {
         Ok(atomic::remove(&self.state(&marker_name(stage)))?)
     }
 
@@ -196,24 +192,24 @@ impl Workspace {
     ///
     /// # Errors
     /// [`PipelineError::State`] if it is missing or was changed by other hands.
-    pub fn read_state<T: DeserializeOwned>(&self, name: &str) -> Result<T, PipelineError> {
+    pub fn read_state<T: DeserializeOwned>(&self, name: &str) -> Result<T> {
         read_state(self.root(), name)
     }
 
     /// Writes a value of the run's own.
-    pub fn write_state(&self, name: &str, value: &impl Serialize) -> Result<(), PipelineError> {
+    pub fn write_state(&self, name: &str, value: &impl Serialize) -> Result<()> {
         Ok(atomic::write_json(&self.state(name), value)?)
     }
 
     /// Creates the folder for intermediate files of a stage's fingerprint, if it is not there.
-    pub fn intermediate(&self, prefix: &str, fingerprint: &str) -> Result<PathBuf, PipelineError> {
+    pub fn intermediate(&self, prefix: &str, fingerprint: &str) -> Result<PathBuf> {
         let folder = self.state(&fingerprint::folder_name(prefix, fingerprint));
         atomic::create_folders(&folder)?;
         Ok(folder)
     }
 
     /// Removes the folders for intermediate files of other fingerprints: they belong to other options.
-    pub fn remove_intermediate(&self, prefix: &str, fingerprint: &str) -> Result<(), PipelineError> {
+    pub fn remove_intermediate(&self, prefix: &str, fingerprint: &str) -> Result<()> {
         let keep = fingerprint::folder_name(prefix, fingerprint);
         let state = self.root().join(RunFolder::STATE);
         for entry in fs::read_dir(&state).map_err(IoError::system("read", &state))? {
@@ -229,7 +225,7 @@ impl Workspace {
     }
 
     /// Removes a folder of the run's own, if it is there.
-    pub fn remove_state(&self, path: &Path) -> Result<(), PipelineError> {
+    pub fn remove_state(&self, path: &Path) -> Result<()> {
         Ok(atomic::remove_folder(path)?)
     }
 }
@@ -240,7 +236,7 @@ pub(in crate::pipeline) fn state_of(output: &Path, name: &str) -> PathBuf {
 }
 
 /// As [`Workspace::read_state`], from an output folder that nobody need have for itself.
-pub(in crate::pipeline) fn read_state<T: DeserializeOwned>(output: &Path, name: &str) -> Result<T, PipelineError> {
+pub(in crate::pipeline) fn read_state<T: DeserializeOwned>(output: &Path, name: &str) -> Result<T> {
     let path = state_of(output, name);
     let bytes = files::read(&path).map_err(|error| damaged(&path, error))?;
     serde_json::from_slice(&bytes).map_err(|error| damaged(&path, error))

@@ -15,7 +15,7 @@ use crate::io::interchange::colmap;
 use crate::mapper::Intrinsics;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::options::{IntrinsicsSource, not_intrinsics};
-use crate::pipeline::{Instances, Options, PipelineError};
+use crate::pipeline::{Instances, Options, PipelineError, Result};
 use crate::scene::{Frame, FrameId, Warning};
 use crate::video::{PictureCamera, Source, focal_px_of_equivalent};
 
@@ -29,7 +29,7 @@ pub(in crate::pipeline) struct InitialCamera {
 }
 
 /// Opens the input: pictures of all sizes where they may be photographs and only a model of the background is made.
-pub(in crate::pipeline) fn open(input: &Path, options: &Options) -> Result<Source, PipelineError> {
+pub(in crate::pipeline) fn open(input: &Path, options: &Options) -> Result<Source> {
     let only_a_model = options.instances == Instances::None && options.background_model.is_none();
     let photographs = only_a_model && order::of_options(options) != Some(true);
     Ok(match photographs {
@@ -39,7 +39,7 @@ pub(in crate::pipeline) fn open(input: &Path, options: &Options) -> Result<Sourc
 }
 
 /// The cameras of the pictures; of those that follow one another in time there is one. The stage `frames` must be done.
-pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>, PipelineError> {
+pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>> {
     let taken = taken(run)?;
     let given = of_options(run, taken)?;
     let example = given.iter().flatten().next().copied();
@@ -78,7 +78,7 @@ fn guess_beside(given: &Camera, pictures: &PictureCamera) -> Camera {
     }
 }
 
-fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
+fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>> {
     match &run.options.intrinsics {
         Some(given) => given_cameras(given, taken),
         None => Ok(vec![None; taken.len()]),
@@ -86,27 +86,27 @@ fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>,
 }
 
 /// The cameras that the options give, before any stage; each once.
-pub(in crate::pipeline) fn given(run: &Run) -> Result<Vec<Camera>, PipelineError> {
+pub(in crate::pipeline) fn given(run: &Run) -> Result<Vec<Camera>> {
     let mut given: Vec<Camera> = of_options(run, run.source.cameras())?.into_iter().flatten().collect();
     given.dedup();
     Ok(given)
 }
 
 /// The first of them, which took all pictures where vehicles are looked for.
-pub(in crate::pipeline) fn first(run: &Run) -> Result<InitialCamera, PipelineError> {
+pub(in crate::pipeline) fn first(run: &Run) -> Result<InitialCamera> {
     let path = run.input().display();
     initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: no image in it")))
 }
 
 /// Cameras of the images that are used.
-fn taken<'a>(run: &Run<'a>) -> Result<&'a [PictureCamera], PipelineError> {
+fn taken<'a>(run: &Run<'a>) -> Result<&'a [PictureCamera]> {
     let all = run.source.cameras();
     let is_one = all.len() > 1 && order::found(run)?.in_time;
     Ok(if is_one { &all[..1] } else { all })
 }
 
 /// By frame, the place of its camera among [`initial`]; frames that are not there are of the first one.
-pub(in crate::pipeline) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usize>, PipelineError> {
+pub(in crate::pipeline) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usize>> {
     let of_camera = |(camera, taken): (usize, &PictureCamera)| {
         taken.frames.iter().map(|&frame| (frame, camera)).collect::<Vec<_>>()
     };
@@ -145,7 +145,7 @@ pub(in crate::pipeline) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> 
 /// The cameras that the user gives, at the size of the pictures; `None` for those of which nothing is stated. Four or
 /// six numbers are those of the pictures of the first size; a file has a camera for each size that it speaks of, and
 /// where it has only one, of another size than all pictures, it is that of the first size, scaled.
-fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>, PipelineError> {
+fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>> {
     let source_size = |pictures: &PictureCamera| (pictures.source_width, pictures.source_height);
     let Some(first) = taken.first().map(source_size) else { return Ok(Vec::new()) };
     let of_first = |camera: Camera| {
@@ -178,7 +178,7 @@ fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Resu
 }
 
 /// The one camera of a file that has the size of the pictures, as they are stored or as they are given out.
-fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<Option<Camera>, PipelineError> {
+fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<Option<Camera>> {
     let sizes = [(pictures.source_width, pictures.source_height), (pictures.width, pictures.height)];
     for (width, height) in sizes {
         let mut found = cameras.iter().filter(|camera| (camera.width, camera.height) == (width, height));

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 
 use crate::files;
 use crate::io::{IoError, masks};
-use crate::pipeline::PipelineError;
+use crate::pipeline::{PipelineError, Result};
 use crate::scene::{Frame, FrameId, LabelMap, Topic, Warning};
 use crate::video::Info;
 
@@ -29,7 +29,7 @@ impl MaskFolder {
     ///
     /// # Errors
     /// [`PipelineError::Unreadable`] if the folder cannot be listed, [`PipelineError::NoMasks`] if nothing fits.
-    pub(in crate::pipeline) fn open(folder: &Path, frames: &[Frame], info: &Info) -> Result<Self, PipelineError> {
+    pub(in crate::pipeline) fn open(folder: &Path, frames: &[Frame], info: &Info) -> Result<Self> {
         let unreadable = |source| PipelineError::Unreadable { path: folder.to_owned(), source };
         let mut by_stem = BTreeMap::new();
         for entry in fs::read_dir(folder).map_err(unreadable)? {
@@ -66,7 +66,7 @@ impl MaskFolder {
     ///
     /// # Errors
     /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for what is no grey PNG.
-    pub(in crate::pipeline) fn labels(&self, frame: FrameId) -> Result<Option<LabelMap>, PipelineError> {
+    pub(in crate::pipeline) fn labels(&self, frame: FrameId) -> Result<Option<LabelMap>> {
         let Some(path) = self.files.get(&frame) else { return Ok(None) };
         match masks::read_label_map(path, self.size) {
             Ok(labels) => Ok(Some(labels)),
@@ -82,7 +82,7 @@ impl MaskFolder {
     ///
     /// # Errors
     /// As [`MaskFolder::labels`].
-    pub(in crate::pipeline) fn check(&self) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn check(&self) -> Result<()> {
         let fits = |size: (u32, u32)| [self.size, self.source_size, self.stored_size].contains(&size);
         for (k, (&frame, path)) in self.files.iter().enumerate() {
             let unreadable = |source| PipelineError::Unreadable { path: path.clone(), source };

@@ -21,7 +21,7 @@ use crate::metric::{
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::stages::background::focal_deviation;
-use crate::pipeline::{MetricOptions, PipelineError};
+use crate::pipeline::{MetricOptions, PipelineError, Result};
 use crate::scene::{Frame, FrameId, Reconstruction};
 use crate::telemetry::{Fix, Geodetic, Heights, LocalFixes, LocalFrame};
 
@@ -37,7 +37,7 @@ const MAP_STD_M: f64 = 0.3;
 const TAKEOFF_STD_M: f64 = 2.0;
 
 /// Inputs of the ground below a camera that does not translate.
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let options = &run.options.metric;
     let logs = telemetry::fingerprints(run);
     let points = options.map_points.as_deref().map(fingerprint::of_content).transpose()?;
@@ -58,7 +58,7 @@ pub(in crate::pipeline) fn tilts(
     run: &Run,
     background: &Reconstruction,
     by_lines: Option<&LineNormal>,
-) -> Result<Vec<StatedTilt>, PipelineError> {
+) -> Result<Vec<StatedTilt>> {
     let vertical = telemetry::find(run, &mut Outcome::default()).and_then(|log| {
         let of_gimbal = || station(run, background, &log).ok()?.vertical();
         let frames = alignment::registered(background, run.frames().ok()?);
@@ -276,7 +276,7 @@ struct Properties {
 ///
 /// # Errors
 /// [`PipelineError::Options`] says what is wrong with which point.
-pub fn check_map_points(options: &MetricOptions) -> Result<(), PipelineError> {
+pub fn check_map_points(options: &MetricOptions) -> Result<()> {
     options.map_points.as_deref().map_or(Ok(()), |path| read_map_points(path).map(drop))
 }
 
@@ -284,7 +284,7 @@ pub fn check_map_points(options: &MetricOptions) -> Result<(), PipelineError> {
 ///
 /// # Errors
 /// [`PipelineError::Options`] says what is wrong with which point.
-fn read_map_points(path: &Path) -> Result<Vec<Picked>, PipelineError> {
+fn read_map_points(path: &Path) -> Result<Vec<Picked>> {
     let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
     let collection: Collection = io::json::read_model(path, "a GeoJSON collection of points with properties x and y")?;
     let point = |(number, Feature { geometry, properties }): (usize, Feature)| {
@@ -329,7 +329,7 @@ struct Survey {
 }
 
 impl Survey {
-    fn read(path: &Path) -> Result<Self, PipelineError> {
+    fn read(path: &Path) -> Result<Self> {
         let picked = read_map_points(path)?;
         let mean = |value: &dyn Fn(&Picked) -> f64| picked.iter().map(value).sum::<f64>() / picked.len() as f64;
         let knows_height = picked.iter().all(|point| point.height_m.is_some());
@@ -380,11 +380,7 @@ impl Survey {
 ///
 /// # Errors
 /// [`PipelineError::Options`] where they place no camera.
-pub fn on_map_points(
-    options: &MetricOptions,
-    background: &Reconstruction,
-    focal_std: f64,
-) -> Result<Option<OnMap>, PipelineError> {
+pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal_std: f64) -> Result<Option<OnMap>> {
     let Some(path) = &options.map_points else { return Ok(None) };
     let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
     let survey = Survey::read(path)?;

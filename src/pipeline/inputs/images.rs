@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use ::image::RgbImage;
 
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, FrameId, Topic};
 use crate::video::VideoError;
 
@@ -19,8 +19,8 @@ pub(in crate::pipeline) fn for_each(
     stage: Stage,
     wanted: BTreeSet<FrameId>,
     outcome: &mut Outcome,
-    mut process: impl FnMut(Frame, RgbImage) -> Result<(), PipelineError>,
-) -> Result<(), PipelineError> {
+    mut process: impl FnMut(Frame, RgbImage) -> Result<()>,
+) -> Result<()> {
     let frames = run.source.frames_at(wanted.clone())?;
     run.progress.begin(stage.name(), Some(wanted.len() as u64));
     for item in frames {

@@ -12,7 +12,7 @@ use crate::networks::{
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
-use crate::pipeline::{DetectorChoice, MaskChoice, Options, PipelineError};
+use crate::pipeline::{DetectorChoice, MaskChoice, Options, Result};
 
 /// Available networks of those that the options choose.
 #[derive(Clone, Debug, Default)]
@@ -32,7 +32,7 @@ impl Networks {
     ///
     /// # Errors
     /// An environment variable or an option names a runtime or networks that are needed and cannot be used.
-    pub(in crate::pipeline) fn of(run: &Run) -> Result<Self, PipelineError> {
+    pub(in crate::pipeline) fn of(run: &Run) -> Result<Self> {
         Ok(Self::chosen(run.options, shipped(run.options.provider))?)
     }
 
@@ -71,7 +71,7 @@ impl Networks {
     }
 
     /// The detector, where there is one.
-    pub(in crate::pipeline) fn load_detector(&self, run: &Run) -> Result<Option<Yolox>, PipelineError> {
+    pub(in crate::pipeline) fn load_detector(&self, run: &Run) -> Result<Option<Yolox>> {
         let load = |path: &Path| load_detector(path, &run.options.detector, run.options.resources());
         Ok(self.detector.as_deref().map(load).transpose()?)
     }
@@ -82,7 +82,7 @@ impl Networks {
     }
 
     /// Segmenter of boxes: mask networks, or colors alone.
-    pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>, PipelineError> {
+    pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>> {
         let (options, resources) = (&run.options.prompt, run.options.resources());
         Ok(match (&self.small_masks, &self.mobile_sam) {
             (Some(small), _) => load_small_box_segmenter(small, options, resources)?,
@@ -95,7 +95,7 @@ impl Networks {
     ///
     /// # Errors
     /// As [`Self::load_detector`].
-    pub(in crate::pipeline) fn check_detector(&self, run: &Run) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn check_detector(&self, run: &Run) -> Result<()> {
         match came_with_the_program(self.detector.as_slice(), "boxes")? {
             true => Ok(()),
             false => self.load_detector(run).map(drop),
@@ -106,7 +106,7 @@ impl Networks {
     ///
     /// # Errors
     /// As [`Self::load_box_segmenter`].
-    pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<()> {
         match came_with_the_program(&self.mask_files(), "box-masks")? {
             true => Ok(()),
             false => self.load_box_segmenter(run).map(drop),
@@ -115,7 +115,7 @@ impl Networks {
 }
 
 /// Inputs of networks besides their options: contents of the files and the provider.
-pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<Value> {
     let hashes = files.iter().map(|path| fingerprint::of_content(path)).collect::<Result<Vec<_>, _>>()?;
     let provider = (!files.is_empty()).then_some(run.options.provider);
     Ok(json!({ "files": hashes, "provider": provider }))
@@ -123,7 +123,7 @@ pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<V
 
 /// Returns true if files are, byte for byte, networks for a task that come with the program: those are known to work,
 /// and loading them for a check would take half a second.
-fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool, PipelineError> {
+fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool> {
     let shipped = default_descriptions()?;
     for file in files {
         let hash = fingerprint::of_content(file)?;

@@ -10,7 +10,7 @@ use crate::image::gray_from_rgb;
 use crate::math::upper_median;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::options::{FeatureKind, FrameOrder};
-use crate::pipeline::{Options, PipelineError};
+use crate::pipeline::{Options, Result};
 use crate::scene::{Frame, FrameId};
 use crate::sfm;
 use crate::video::Kind;
@@ -62,7 +62,7 @@ pub(in crate::pipeline) fn of_options(options: &Options) -> Option<bool> {
 }
 
 /// Finds the order and writes it down for later stages.
-pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
+pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame]) -> Result<Order> {
     let order = match stated(run) {
         Some(in_time) => Order { in_time, followed_share: None },
         None => measured(run, frames)?,
@@ -72,7 +72,7 @@ pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame]) -> Result<Order, Pi
 }
 
 /// Follows corners between a few pictures and their successors, evenly over the folder.
-fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
+fn measured(run: &Run, frames: &[Frame]) -> Result<Order> {
     // Odd, for a median; takes a fraction of a second.
     const NUM_PAIRS: usize = 7;
     let last = frames.len().saturating_sub(1);
@@ -96,13 +96,13 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order, PipelineError> {
 }
 
 /// The order that was found; the stage `frames` must be done.
-pub(in crate::pipeline) fn found(run: &Run) -> Result<Order, PipelineError> {
+pub(in crate::pipeline) fn found(run: &Run) -> Result<Order> {
     run.workspace.read_state(STATE)
 }
 
 /// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must
 /// be done.
-pub(in crate::pipeline) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options), PipelineError> {
+pub(in crate::pipeline) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options)> {
     Ok(resolved(run.options, found(run)?.in_time))
 }
 

@@ -14,7 +14,7 @@ use crate::features::Target;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::calibration_check;
 use crate::pipeline::stages::{ground, segment, track};
-use crate::pipeline::{GroundLabels, Instances, Options, PipelineError, Stage};
+use crate::pipeline::{GroundLabels, Instances, Options, PipelineError, Result, Stage};
 use crate::scene::{LabelMap, ObjectId};
 use crate::video::{PictureCamera, Source};
 
@@ -27,7 +27,7 @@ const FRAME_BYTES_PER_PIXEL: u128 = 32;
 ///
 /// # Errors
 /// [`PipelineError::Memory`] says of which size they are, and what to do.
-pub(in crate::pipeline) fn check_pictures(source: &Source, options: &Options) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn check_pictures(source: &Source, options: &Options) -> Result<()> {
     let pixels = |width: u32, height: u32| u128::from(width) * u128::from(height);
     for camera in source.cameras() {
         let PictureCamera { width, height, source_width, source_height, .. } = *camera;
@@ -46,7 +46,7 @@ pub(in crate::pipeline) fn check_pictures(source: &Source, options: &Options) ->
 ///
 /// # Errors
 /// [`PipelineError::Options`] for intrinsics that cannot be meant.
-pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<()> {
     if run.options.intrinsics.is_none() {
         return Ok(());
     }
@@ -63,7 +63,7 @@ pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<(), PipelineErr
 ///
 /// # Errors
 /// What the stage itself would say of the file.
-pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<()> {
     open.iter().try_for_each(|stage| match stage {
         Stage::Segment => segmentation_model(run),
         Stage::Features => given_masks(run),
@@ -76,7 +76,7 @@ pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<(), 
     })
 }
 
-fn segmentation_model(run: &Run) -> Result<(), PipelineError> {
+fn segmentation_model(run: &Run) -> Result<()> {
     match &run.options.instances {
         Instances::Model(path) => segment::load(run, path).map(drop),
         Instances::Vehicles => Networks::of(run)?.check_detector(run),
@@ -84,14 +84,14 @@ fn segmentation_model(run: &Run) -> Result<(), PipelineError> {
     }
 }
 
-fn given_masks(run: &Run) -> Result<(), PipelineError> {
+fn given_masks(run: &Run) -> Result<()> {
     match &run.options.instances {
         Instances::Masks(folder) => MaskFolder::open(folder, run.frames()?, run.info())?.check(),
         Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(()),
     }
 }
 
-fn networks_of_tracking(run: &Run) -> Result<(), PipelineError> {
+fn networks_of_tracking(run: &Run) -> Result<()> {
     match &run.options.instances {
         Instances::None | Instances::Masks(_) => Ok(()),
         Instances::Model(_) => track::load_flow_estimator(run).map(drop),
@@ -103,7 +103,7 @@ fn networks_of_tracking(run: &Run) -> Result<(), PipelineError> {
 }
 
 /// Given masks say which objects there are before anything is tracked.
-fn object_ids(run: &Run) -> Result<(), PipelineError> {
+fn object_ids(run: &Run) -> Result<()> {
     let Instances::Masks(folder) = &run.options.instances else { return Ok(()) };
     if run.options.object_models.is_empty() {
         return Ok(());
@@ -118,11 +118,11 @@ fn object_ids(run: &Run) -> Result<(), PipelineError> {
     track::check_models(run, &ids)
 }
 
-fn models<'a>(run: &Run, mut paths: impl Iterator<Item = &'a PathBuf>, target: Target) -> Result<(), PipelineError> {
+fn models<'a>(run: &Run, mut paths: impl Iterator<Item = &'a PathBuf>, target: Target) -> Result<()> {
     paths.try_for_each(|path| given_models::read(path, target, run).map(drop))
 }
 
-fn ground_labels(run: &Run) -> Result<(), PipelineError> {
+fn ground_labels(run: &Run) -> Result<()> {
     match &run.options.ground_labels {
         GroundLabels::Geometric => Ok(()),
         GroundLabels::Masks { folder, .. } => MaskFolder::open(folder, run.frames()?, run.info())?.check(),

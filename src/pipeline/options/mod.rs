@@ -23,7 +23,7 @@ pub(in crate::pipeline) use public::from_json as options_from_json;
 pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 
-use super::PipelineError;
+use super::Result;
 use crate::camera::Camera;
 use crate::checks::{Checked, OptionError, under, within};
 use crate::ffi::onnx::{Provider, Resources};
@@ -322,8 +322,8 @@ impl Options {
     /// Rejects what contradicts itself or cannot be worked with, at every level of the tree, before work starts.
     ///
     /// # Errors
-    /// [`PipelineError::Option`] names the option by its path in the tree.
-    pub fn check(&self) -> Result<(), PipelineError> {
+    /// [`PipelineError::Option`](super::PipelineError::Option) names the option by its path in the tree.
+    pub fn check(&self) -> Result<()> {
         let spelled = |error: OptionError| OptionError { key: public::spelled(&error.key), ..error };
         Ok(self.check_tree().map_err(spelled)?)
     }
@@ -387,6 +387,7 @@ fn check_intrinsics(values: &[f64]) -> Checked {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::PipelineError;
 
     #[test]
     fn intrinsics_are_numbers_or_a_file() {

@@ -11,12 +11,12 @@ use crate::image::Picture;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{cameras, images, order};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::ObjectId;
 
 pub(in crate::pipeline) const PREFIX: &str = "follow-";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let camera = cameras::first(run)?.camera;
     let (_, objects) = order::sfm_options(run)?;
     Ok(json!({
@@ -28,7 +28,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let objects = run.workspace.read_tracked()?;
     track::check_ids(run, &objects, &mut outcome)?;
@@ -62,6 +62,6 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
 }
 
 /// The tracks of one object; the stage must be done.
-pub(in crate::pipeline) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable, PipelineError> {
+pub(in crate::pipeline) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable> {
     intermediate::read(&tracks_of(&run.folder(PREFIX, Stage::Follow), &id.to_string()))
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::{FRAMES, Outcome, Run};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::order;
@@ -13,7 +13,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run, input: &str) -> Value {
     json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     let scan = run.source.scan()?;
     let order = order::find(run, &scan.frames)?;
     let (frames, left_out) = match order.in_time {

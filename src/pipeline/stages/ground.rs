@@ -18,7 +18,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::of_networks;
-use crate::pipeline::{GroundLabels, Options, PipelineError, Stage};
+use crate::pipeline::{GroundLabels, Options, Result, Stage};
 use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic, Warning};
 
 /// The name of the sources of planes, for vehicles whose planes are wanted later.
@@ -26,7 +26,7 @@ const SOURCES: &str = "ground-sources.json";
 /// Prefix of the folder of masks that the user's network found.
 pub(in crate::pipeline) const MASKS: &str = "ground-masks-";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let labels = match &run.options.ground_labels {
         GroundLabels::Geometric => json!("geometric"),
         GroundLabels::Masks { folder, label } => json!({ "masks": fingerprint::of_content(folder)?, "label": label }),
@@ -49,7 +49,7 @@ pub(super) fn body_shape(options: &Options) -> BodyShape {
     BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let background = run.workspace.read_background()?;
     let found = match background.is_empty() {
@@ -150,12 +150,7 @@ impl GroundResults {
 }
 
 /// Every source of the chain, for the whole place.
-fn find(
-    run: &Run,
-    background: &Reconstruction,
-    fingerprint: &str,
-    outcome: &mut Outcome,
-) -> Result<GroundResults, PipelineError> {
+fn find(run: &Run, background: &Reconstruction, fingerprint: &str, outcome: &mut Outcome) -> Result<GroundResults> {
     if background.points.is_empty() {
         let hovering = objects::hovering_ground(run)?;
         match &hovering {
@@ -204,7 +199,7 @@ fn contradiction(found: &TiltContradiction) -> Warning {
 }
 
 /// The sources of planes; the stage must be done.
-pub(in crate::pipeline) fn sources(run: &Run) -> Result<GroundResults, PipelineError> {
+pub(in crate::pipeline) fn sources(run: &Run) -> Result<GroundResults> {
     run.workspace.read_state(SOURCES)
 }
 
@@ -214,7 +209,7 @@ fn labelled_points(
     background: &Reconstruction,
     fingerprint: &str,
     outcome: &mut Outcome,
-) -> Result<Option<(GroundSource, Vec<Point3dId>)>, PipelineError> {
+) -> Result<Option<(GroundSource, Vec<Point3dId>)>> {
     let (source, points) = match &run.options.ground_labels {
         GroundLabels::Geometric => {
             let text = match run.options.ground.labels_only {
@@ -250,7 +245,7 @@ fn vote_of_masks(
     folder: &Path,
     label: Option<u8>,
     outcome: &mut Outcome,
-) -> Result<Vec<Point3dId>, PipelineError> {
+) -> Result<Vec<Point3dId>> {
     let frames = run.frames()?;
     let files = MaskFolder::open(folder, frames, run.info())?;
     // Frames that a model was not asked for, since they are not registered, are not missing.
@@ -285,7 +280,7 @@ fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
 }
 
 /// Loads the semantic model with the options of the run.
-pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<GroundSegmenter, PipelineError> {
+pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<GroundSegmenter> {
     Ok(load_ground_segmenter(model, &run.options.ground_segmentation, run.options.resources())?)
 }
 
@@ -297,7 +292,7 @@ fn ground_masks(
     model: &Path,
     fingerprint: &str,
     outcome: &mut Outcome,
-) -> Result<PathBuf, PipelineError> {
+) -> Result<PathBuf> {
     let folder = run.workspace.intermediate(MASKS, fingerprint)?;
     let mut segmenter = load(run, model)?;
     let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();

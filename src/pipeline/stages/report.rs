@@ -17,7 +17,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::cameras::CameraOrigin;
 use crate::pipeline::options::options_from_json;
-use crate::pipeline::{Method, Options, PipelineError, Silent, Stage, Workspace};
+use crate::pipeline::{Method, Options, Result, Silent, Stage, Workspace};
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, PictureMaker, Pictures};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 use crate::trajectory::{Views, intersection};
@@ -27,7 +27,7 @@ use crate::video::Kind;
 ///
 /// # Errors
 /// The input is no longer where it was, or the run is not finished.
-pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<()> {
     let told: RunJson = json::read(&workspace.run_json())?;
     let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
     check_input(workspace.root(), &input)?;
@@ -41,7 +41,7 @@ pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<(), PipelineEr
 ///
 /// # Errors
 /// The input is no longer where it was, the run is not finished, or another run is at work on the folder.
-pub fn link_exports(output: &Path) -> Result<(), PipelineError> {
+pub fn link_exports(output: &Path) -> Result<()> {
     renew(&Workspace::open(output)?)
 }
 
@@ -58,7 +58,7 @@ struct RunJson {
 ///
 /// # Errors
 /// A file that cannot be read or written.
-pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn write_models(run: &Run) -> Result<()> {
     let tracked = run.workspace.read_tracked()?;
     let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
@@ -76,17 +76,13 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<(), PipelineError> 
     put_page(run, &data)
 }
 
-fn put_page(run: &Run, data: &Data) -> Result<(), PipelineError> {
+fn put_page(run: &Run, data: &Data) -> Result<()> {
     let text = report::render(data)?;
     run.workspace.put_file(&run.workspace.report(), |fresh| atomic::write(fresh, text.as_bytes()))
 }
 
 /// Data of every page: those of a page of models, without objects and files.
-fn models<'a>(
-    run: &'a Run,
-    background: &'a Reconstruction,
-    tracked: &[TrackedObject],
-) -> Result<Data<'a>, PipelineError> {
+fn models<'a>(run: &'a Run, background: &'a Reconstruction, tracked: &[TrackedObject]) -> Result<Data<'a>> {
     let report = background::background_report(run)?;
     Ok(Data {
         title: title(run),
@@ -138,7 +134,7 @@ fn title(run: &Run) -> String {
     run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned())
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     let tracked = run.workspace.read_tracked()?;
     let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
@@ -170,7 +166,7 @@ fn with_model(reports: &BTreeMap<ObjectId, ModelReport>) -> impl Iterator<Item =
 fn object_models(
     reports: &BTreeMap<ObjectId, ModelReport>,
     read: impl Fn(ObjectId) -> Result<Reconstruction, IoError>,
-) -> Result<BTreeMap<ObjectId, Reconstruction>, PipelineError> {
+) -> Result<BTreeMap<ObjectId, Reconstruction>> {
     with_model(reports).map(|id| Ok((id, read(id)?))).collect()
 }
 
@@ -217,7 +213,7 @@ fn ratio_per_frame(
 }
 
 /// Evaluation of this result, if there is one.
-fn evaluation(run: &Run) -> Result<Option<Evaluation>, PipelineError> {
+fn evaluation(run: &Run) -> Result<Option<Evaluation>> {
     let path = run.workspace.evaluation();
     Ok(if path.exists() { Some(json::read(&path)?) } else { None })
 }
@@ -304,7 +300,7 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
 
 /// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is made again after an
 /// evaluation or an export.
-fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures, PipelineError> {
+fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures> {
     let folder = run.workspace.intermediate("pictures-", run.fingerprint(Stage::Track))?;
     let kept = folder.join("pictures.bin");
     if kept.is_file() {
@@ -338,7 +334,7 @@ fn stages(run: &Run) -> Vec<report::Stage> {
     run.records.iter().map(stage).collect()
 }
 
-fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>, PipelineError> {
+fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>> {
     let info = run.info();
     let kind = match info.kind {
         Kind::Video => "video file",

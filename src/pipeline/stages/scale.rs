@@ -18,7 +18,7 @@ use super::track::movement::PointFindings;
 use super::{ground, objects};
 use crate::ground::HoveringGround;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{
     BodyCenter, Frame, FrameId, Ground, GroundPlane, Movement, MovementFinding, ObjectId, ObjectTrajectory,
     Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
@@ -43,7 +43,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
     json!({ "options": run.options.scale })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
@@ -94,7 +94,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError
 }
 
 /// Takes away what speaks of the trajectories that are replaced.
-fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<(), PipelineError> {
+fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<()> {
     // The file of trajectories is made again without metres, which the stage `metric` writes into it.
     run.workspace.clear_marker(Stage::Metric)?;
     run.workspace.remove(&run.workspace.evaluation())?;
@@ -144,7 +144,7 @@ impl<'a, 'r> Scene<'a, 'r> {
         background: &'a Reconstruction,
         reports: &BTreeMap<ObjectId, ModelReport>,
         tracked: &[TrackedObject],
-    ) -> Result<Self, PipelineError> {
+    ) -> Result<Self> {
         let frames = run.frames()?;
         let has_model = |id| reports.get(&id).is_some_and(|report| report.failure.is_none());
         let wanted = tracked.iter().filter(|object| object.left_out.is_none() || has_model(object.id));
@@ -237,7 +237,7 @@ impl<'a, 'r> Scene<'a, 'r> {
         report: &ModelReport,
         found: &mut ScaleContext,
         outcome: &mut Outcome,
-    ) -> Result<(), PipelineError> {
+    ) -> Result<()> {
         let run = self.run;
         let Some(object) = objects::as_reconstructed(run, tracked.id, report)? else { return Ok(()) };
         let planes = planes(&self.ground, tracked.id);
@@ -375,22 +375,22 @@ fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outc
 
 /// The trajectories in units of the background, without metres, and the ground tracks of all vehicles that may need
 /// one; the stage must be done.
-pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories, PipelineError> {
+pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
 }
 
 /// Why objects have no trajectory although they have a model; the stage must be done.
-pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<ObjectId, String>, PipelineError> {
+pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<ObjectId, String>> {
     run.workspace.read_state(FAILURES)
 }
 
 /// The other results; the stage must be done.
-pub(in crate::pipeline) fn results(run: &Run) -> Result<ScaleResults, PipelineError> {
+pub(in crate::pipeline) fn results(run: &Run) -> Result<ScaleResults> {
     run.workspace.read_state(RESULTS)
 }
 
 /// The outlines of objects.
-fn outlines(run: &Run, frames: &[Frame], objects: Vec<TrackedObject>) -> Result<Outlines, PipelineError> {
+fn outlines(run: &Run, frames: &[Frame], objects: Vec<TrackedObject>) -> Result<Outlines> {
     let mut found = Outlines::new();
     for frame in frames {
         for (id, mask) in track::masks_of(run, &objects, frame)? {

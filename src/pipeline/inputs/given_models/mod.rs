@@ -13,10 +13,10 @@ use super::cameras;
 use crate::features::Target;
 use crate::io::RunFolder;
 use crate::io::interchange::model::{self, Format};
-use crate::pipeline::PipelineError;
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::model_report::ModelReport;
+use crate::pipeline::{PipelineError, Result};
 use crate::scene::{Frame, ImageId, Reconstruction, Warning};
 use images::{Pictures, Sizes};
 
@@ -24,7 +24,7 @@ use images::{Pictures, Sizes};
 ///
 /// # Errors
 /// As [`model::detect`], or a file that cannot be read.
-pub(in crate::pipeline) fn fingerprint(path: &Path) -> Result<String, PipelineError> {
+pub(in crate::pipeline) fn fingerprint(path: &Path) -> Result<String> {
     let (place, format) = model::detect(path)?;
     fingerprint::of_files(&model::files_read(&place, format))
 }
@@ -39,11 +39,7 @@ pub(in crate::pipeline) fn place(path: &Path) -> PathBuf {
 /// # Errors
 /// What the format's reader says; a lens that nothing can be projected with; [`PipelineError::Options`] for images none
 /// of which is a frame, pictures that are not the frames, or points that no frame sees.
-pub(in crate::pipeline) fn read(
-    path: &Path,
-    target: Target,
-    run: &Run,
-) -> Result<(Reconstruction, ModelReport), PipelineError> {
+pub(in crate::pipeline) fn read(path: &Path, target: Target, run: &Run) -> Result<(Reconstruction, ModelReport)> {
     let frames = run.frames()?;
     let turns = |id| run.source.quarter_turns(id);
     let info = run.info();
@@ -73,7 +69,7 @@ fn placed(
     target: Target,
     frames: &[Frame],
     pictures: &Pictures,
-) -> Result<(Reconstruction, Vec<Warning>), PipelineError> {
+) -> Result<(Reconstruction, Vec<Warning>)> {
     let (place, format) = model::detect(path)?;
     check_place(path, &place, target)?;
     let (model, _) = model::read_for_geometry(&place)?;
@@ -86,7 +82,7 @@ fn placed(
 }
 
 /// An output folder represents its background, which is no object's model.
-fn check_place(path: &Path, place: &Path, target: Target) -> Result<(), PipelineError> {
+fn check_place(path: &Path, place: &Path, target: Target) -> Result<()> {
     let folder = RunFolder::at(path);
     if target == Target::Background || place != folder.background() {
         return Ok(());
@@ -110,7 +106,7 @@ fn sizes_of(place: &Path, format: Format, model: &Reconstruction) -> Sizes {
 }
 
 /// The ground and the scale ratio rest on points.
-fn check_points(path: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
+fn check_points(path: &Path, model: &Reconstruction) -> Result<()> {
     if !model.points.is_empty() {
         return Ok(());
     }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::pipeline::PipelineError;
+use crate::pipeline::{PipelineError, Result};
 use crate::scene::{Frame, Image, ImageId, Reconstruction, Topic, Warning};
 
 /// The model with the images that are frames, under the frames' ids and names, and what is to be reported of the
@@ -18,7 +18,7 @@ pub(super) fn with_frame_ids(
     path: &Path,
     mut model: Reconstruction,
     frames: &[Frame],
-) -> Result<(Reconstruction, Vec<Warning>), PipelineError> {
+) -> Result<(Reconstruction, Vec<Warning>)> {
     let frame_of = frames_of(&model.images, frames);
     if frame_of.is_empty() {
         return Err(PipelineError::Options(nothing_in_common(path, &model, frames)));
@@ -68,7 +68,8 @@ fn frames_of<'a>(images: &BTreeMap<ImageId, Image>, frames: &'a [Frame]) -> BTre
     let found = |is_whole: bool, key: usize| -> BTreeMap<ImageId, &'a Frame> {
         let by_key: BTreeMap<String, &Frame> =
             frames.iter().map(|frame| (of_frame(frame)[key].clone(), frame)).collect();
-        let key_of = |image: &Image| of_name(if is_whole { image.name.as_str() } else { file_name(&image.name) })[key].clone();
+        let key_of =
+            |image: &Image| of_name(if is_whole { image.name.as_str() } else { file_name(&image.name) })[key].clone();
         images.iter().filter_map(|(&id, image)| Some((id, *by_key.get(&key_of(image))?))).collect()
     };
     let tried = [true, false].into_iter().flat_map(|is_whole| [0, 1, 2].map(|key| (is_whole, key)));
@@ -86,11 +87,7 @@ fn nothing_in_common(path: &Path, model: &Reconstruction, frames: &[Frame]) -> S
     )
 }
 
-fn check_unique(
-    path: &Path,
-    images: &BTreeMap<ImageId, Image>,
-    frame_of: &BTreeMap<ImageId, &Frame>,
-) -> Result<(), PipelineError> {
+fn check_unique(path: &Path, images: &BTreeMap<ImageId, Image>, frame_of: &BTreeMap<ImageId, &Frame>) -> Result<()> {
     let mut taken: BTreeMap<&str, &str> = BTreeMap::new();
     for (id, frame) in frame_of {
         let name = images.get(id).map_or("", |image| image.name.as_str());

@@ -3,7 +3,7 @@
 use super::ModelReport;
 use crate::camera::Camera;
 use crate::mapper::{self, CalibrationFit, Intrinsics};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::cameras::{self, CameraOrigin};
@@ -76,7 +76,7 @@ pub(in crate::pipeline) fn doubts(camera: &Camera) -> Vec<Warning> {
 }
 
 /// The given calibrations of a model's cameras: those of the options, or those of a given model.
-fn given(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<(CameraId, Camera)>, PipelineError> {
+fn given(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<(CameraId, Camera)>> {
     if is_given {
         return Ok(model.cameras.iter().map(|(id, camera)| (*id, *camera)).collect());
     }
@@ -95,7 +95,7 @@ pub(super) fn check_fit(
     model: &Reconstruction,
     report: &mut ModelReport,
     outcome: &mut Outcome,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let std = run.options.intrinsics_std;
     // Those that are held are compared all the same.
     let known = if std.is_fixed() { Intrinsics::GIVEN } else { std };

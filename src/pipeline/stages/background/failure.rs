@@ -7,7 +7,7 @@ use crate::image::{GrayImage, gray_from_rgb};
 use crate::math::upper_median;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::features::masking::Masking;
-use crate::pipeline::{Instances, PipelineError};
+use crate::pipeline::{Instances, Result};
 
 /// Frames that are examined, evenly over the input.
 const NUM_EXAMINED: usize = 5;
@@ -30,7 +30,7 @@ struct Properties {
 ///
 /// # Errors
 /// Those of decoding the input again.
-pub(in crate::pipeline) fn reasons(run: &Run) -> Result<String, PipelineError> {
+pub(in crate::pipeline) fn reasons(run: &Run) -> Result<String> {
     let frames = run.frames()?;
     let examined = (0..NUM_EXAMINED).filter_map(|k| frames.get(frames.len() * (2 * k + 1) / (2 * NUM_EXAMINED)));
     let ids: BTreeSet<_> = examined.map(|frame| frame.id).collect();

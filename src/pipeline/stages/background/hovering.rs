@@ -10,7 +10,7 @@ use crate::pipeline::inputs::cameras::{self, InitialCamera};
 use crate::pipeline::inputs::hovering::camera_by_map_points;
 use crate::pipeline::inputs::images;
 use crate::pipeline::stages::features;
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{Reconstruction, Topic};
 
 /// The ground's normal by straight lines, or `null`.
@@ -23,17 +23,14 @@ pub(in crate::pipeline) fn normal_by_lines(run: &Run) -> Option<LineNormal> {
 }
 
 /// Returns true if the camera stands: no map can be made then but of vehicles, or of turns that are taken for motion.
-pub(super) fn stands(run: &Run, table: &TrackTable) -> Result<bool, PipelineError> {
+pub(super) fn stands(run: &Run, table: &TrackTable) -> Result<bool> {
     let camera = cameras::first(run)?.camera;
     let found = on_threads(run.options.threads, || rotating_camera(table, &camera))?;
     Ok(found.is_some_and(|found| found.is_still()))
 }
 
 /// Rotations of the views, with their report; `None` where rotations do not explain them.
-pub(super) fn reconstruct(
-    run: &Run,
-    outcome: &mut Outcome,
-) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
+pub(super) fn reconstruct(run: &Run, outcome: &mut Outcome) -> Result<Option<(Reconstruction, ModelReport)>> {
     let table = features::of_background(run)?;
     let InitialCamera { camera, known, .. } = cameras::first(run)?;
     let lines = lines_of_first(run, &table, outcome)?;
@@ -63,7 +60,7 @@ pub(super) fn reconstruct(
 }
 
 /// Straight lines of some of the first views; fewer where frames cannot be decoded.
-fn lines_of_first(run: &Run, table: &TrackTable, outcome: &mut Outcome) -> Result<Vec<ImageLines>, PipelineError> {
+fn lines_of_first(run: &Run, table: &TrackTable, outcome: &mut Outcome) -> Result<Vec<ImageLines>> {
     // Apart, so that compression and moving vehicles differ. They average noise; beyond five nothing changes.
     let views = table.views.iter().filter(|view| !view.pixels.is_empty()).step_by(6).take(5);
     let chosen = views.map(|view| view.image.frame()).collect();

@@ -9,7 +9,7 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::workspace::read_state;
 use crate::pipeline::inputs::alignment::{self, FittedLog};
 use crate::pipeline::inputs::telemetry::{self, Origin};
-use crate::pipeline::{PipelineError, TelemetryChoice};
+use crate::pipeline::{Result, TelemetryChoice};
 use crate::scene::{Metric, MetricFrame, Reconstruction};
 
 /// The frame, or `null`.
@@ -24,7 +24,7 @@ pub fn background_frame(output: &Path) -> Option<MetricFrame> {
 ///
 /// # Errors
 /// A file that cannot be written.
-pub(in crate::pipeline) fn write(run: &Run, background: &Reconstruction) -> Result<Option<Metric>, PipelineError> {
+pub(in crate::pipeline) fn write(run: &Run, background: &Reconstruction) -> Result<Option<Metric>> {
     let metric = fit(run, background).and_then(|(fitted, origin)| metric(&fitted, origin));
     run.workspace.write_state(FILE, &metric.as_ref().and_then(|metric| metric.frame.as_ref()))?;
     Ok(metric)

@@ -23,7 +23,7 @@ use crate::features::Target;
 use crate::io::interchange::colmap;
 use crate::mapper::ModelWeakness;
 use crate::mapper::{self, PosePriors};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::threads::on_threads;
@@ -33,7 +33,7 @@ use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warnin
 
 const BACKGROUND_REPORT: &str = "background-report.json";
 
-pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value> {
     let known: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| (initial.origin, initial.known)).collect();
     let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(given_models::fingerprint).transpose()?;
@@ -56,7 +56,7 @@ pub(in crate::pipeline) fn with_model_files(mut cache_key: Value, run: &Run) -> 
     cache_key
 }
 
-pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let (model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,
@@ -104,7 +104,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome, Pipeline
 }
 
 /// A map of the views, or rotations alone where the camera does not translate.
-fn reconstruct_views(run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction, ModelReport), PipelineError> {
+fn reconstruct_views(run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction, ModelReport)> {
     let initial = cameras::initial(run)?;
     let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known)).collect();
     let table = features::of_background(run)?;
@@ -124,7 +124,7 @@ fn reconstruct_views(run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction
 }
 
 /// Changes of the focal length in a video's background.
-fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<FocalChange>, PipelineError> {
+fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<FocalChange>> {
     let principal = match model.cameras.values().next() {
         Some(camera) if is_given => camera.principal,
         _ => cameras::first(run)?.camera.principal,
@@ -160,11 +160,7 @@ fn cure_of_large_frames((width, height): (u32, u32)) -> String {
 }
 
 /// Prior standard deviations of fx, fy, cx, cy, k1, k2 of a model's cameras.
-fn prior_std(
-    run: &Run,
-    model: &Reconstruction,
-    is_given: bool,
-) -> Result<BTreeMap<CameraId, [f64; NUM_INTRINSICS]>, PipelineError> {
+fn prior_std(run: &Run, model: &Reconstruction, is_given: bool) -> Result<BTreeMap<CameraId, [f64; NUM_INTRINSICS]>> {
     let initial = if is_given { Vec::new() } else { cameras::initial(run)? };
     // The cameras of a reconstructed model count from 1.
     let initial_of = |id: &CameraId| initial.get((id.0 as usize).checked_sub(1)?);
@@ -187,7 +183,7 @@ fn center_figures(model: &Reconstruction, prior_std: &BTreeMap<CameraId, [f64; N
 }
 
 /// Report on the background's model; the stage must be done.
-pub(in crate::pipeline) fn background_report(run: &Run) -> Result<ModelReport, PipelineError> {
+pub(in crate::pipeline) fn background_report(run: &Run) -> Result<ModelReport> {
     run.workspace.read_state(BACKGROUND_REPORT)
 }
 
@@ -198,7 +194,7 @@ pub(in crate::pipeline) fn hovers(run: &Run) -> bool {
 
 /// Standard deviation of the background's focal length as a share of it, what is known of lenses beforehand included;
 /// `None` where it was given. The stage must be done.
-pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>, PipelineError> {
+pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>> {
     Ok(background_report(run)?.focal_deviation())
 }
 
@@ -211,7 +207,7 @@ pub(in crate::pipeline) fn reconstruct(
     options: &mapper::Options,
     poses: Option<&PosePriors>,
     watch: &mut (dyn FnMut(f64) + Send),
-) -> Result<(Reconstruction, ModelReport), PipelineError> {
+) -> Result<(Reconstruction, ModelReport)> {
     let (threads, seed) = (run.options.threads, run.options.seed);
     let (cameras, known): (Vec<Camera>, Vec<mapper::Intrinsics>) = cameras.iter().copied().unzip();
     if let Some(view) = table.views.iter().find(|view| view.camera >= cameras.len()) {
@@ -241,7 +237,7 @@ pub(in crate::pipeline) fn triangulate(
     camera: Camera,
     options: &mapper::Options,
     background: &Reconstruction,
-) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
+) -> Result<Option<(Reconstruction, ModelReport)>> {
     // Points of a vehicle that stands are explained but for reflections, shadows and what is seen through windows.
     const STILL_SHARE: f64 = 0.8;
     let pose = |view: &crate::features::tracks::View| Some(background.images.get(&view.image)?.cam_from_world);
@@ -279,7 +275,7 @@ fn described(model: &Reconstruction, report: &mapper::Report) -> ModelReport {
 }
 
 /// Puts a model in its public place, whole.
-pub(in crate::pipeline) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<()> {
     run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files)?))
 }
 

@@ -5,23 +5,19 @@ use std::path::PathBuf;
 use nalgebra::Point3;
 
 use crate::io::interchange::ply;
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::Run;
 use crate::scene::{ObjectTrajectory, Reconstruction};
 
 /// Writes the background's points; gives the file.
-pub(in crate::pipeline) fn background(run: &Run, model: &Reconstruction) -> Result<PathBuf, PipelineError> {
+pub(in crate::pipeline) fn background(run: &Run, model: &Reconstruction) -> Result<PathBuf> {
     let points: Vec<_> = model.points.values().map(|point| (point.position, point.rgb)).collect();
     write(run, run.workspace.background_points(), &points)
 }
 
 /// Writes an object's points where they are in every frame of its trajectory, in the background's frame; gives the
 /// file.
-pub(in crate::pipeline) fn object(
-    run: &Run,
-    trajectory: &ObjectTrajectory,
-    model: &Reconstruction,
-) -> Result<PathBuf, PipelineError> {
+pub(in crate::pipeline) fn object(run: &Run, trajectory: &ObjectTrajectory, model: &Reconstruction) -> Result<PathBuf> {
     let placed = |pose: &crate::scene::ObjectPose| {
         let world_from_object = pose.world_from_object;
         model.points.values().map(move |point| (world_from_object * point.position, point.rgb))
@@ -30,7 +26,7 @@ pub(in crate::pipeline) fn object(
     write(run, run.workspace.object_points(trajectory.id), &points)
 }
 
-fn write(run: &Run, path: PathBuf, points: &[(Point3<f64>, [u8; 3])]) -> Result<PathBuf, PipelineError> {
+fn write(run: &Run, path: PathBuf, points: &[(Point3<f64>, [u8; 3])]) -> Result<PathBuf> {
     run.workspace.put_file(&path, |fresh| ply::write_points(fresh, points))?;
     Ok(path)
 }

@@ -7,7 +7,7 @@ use crate::features::TrackTable;
 use crate::features::tracks::{self, Feature};
 use crate::io::interchange::database::{Features, View};
 use crate::io::{IoError, RunFolder};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate;
 use crate::scene::{CameraId, TrackElement};
 
@@ -16,7 +16,7 @@ use crate::scene::{CameraId, TrackElement};
 ///
 /// # Errors
 /// A folder that cannot be read, or a damaged file in it.
-pub fn found_features(output: &Path) -> Result<Option<Features>, PipelineError> {
+pub fn found_features(output: &Path) -> Result<Option<Features>> {
     match folder_of_tracks(&output.join(RunFolder::STATE))?.map(|folder| tracks_of(&folder, BACKGROUND)) {
         Some(path) if path.is_file() => Ok(Some(features(intermediate::read(&path)?))),
         _ => Ok(None),
@@ -24,7 +24,7 @@ pub fn found_features(output: &Path) -> Result<Option<Features>, PipelineError> 
 }
 
 /// A run keeps one folder of background features, whose name ends in what they were made from.
-fn folder_of_tracks(state: &Path) -> Result<Option<PathBuf>, PipelineError> {
+fn folder_of_tracks(state: &Path) -> Result<Option<PathBuf>> {
     if !state.is_dir() {
         return Ok(None);
     }

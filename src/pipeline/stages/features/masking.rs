@@ -4,7 +4,7 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::stages::segment;
 use crate::pipeline::stages::segment::detections::DetectionFolder;
-use crate::pipeline::{Instances, PipelineError};
+use crate::pipeline::{Instances, Result};
 use crate::scene::{Frame, FrameId, Mask};
 
 /// Where something is that may move by itself.
@@ -27,7 +27,7 @@ pub(in crate::pipeline) struct Masking {
 
 impl Masking {
     /// The stage `segment` must be done.
-    pub(in crate::pipeline) fn new(run: &Run) -> Result<Self, PipelineError> {
+    pub(in crate::pipeline) fn new(run: &Run) -> Result<Self> {
         let dilation_px = run.options.masking.dilation_px(run.size());
         let movable = match &run.options.instances {
             Instances::None => Movable::Nothing,
@@ -43,11 +43,11 @@ impl Masking {
     }
 
     /// Where nothing moves in a frame, whose picture has a size.
-    pub(in crate::pipeline) fn background(&self, frame: &Frame, size: (u32, u32)) -> Result<Mask, PipelineError> {
+    pub(in crate::pipeline) fn background(&self, frame: &Frame, size: (u32, u32)) -> Result<Mask> {
         Ok(self.movable(frame, size)?.dilated(self.dilation_px).complement())
     }
 
-    fn movable(&self, frame: &Frame, (width, height): (u32, u32)) -> Result<Mask, PipelineError> {
+    fn movable(&self, frame: &Frame, (width, height): (u32, u32)) -> Result<Mask> {
         let mut movable = Mask::empty(width, height);
         match &self.movable {
             Movable::Nothing => {}

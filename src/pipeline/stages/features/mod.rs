@@ -13,7 +13,7 @@ use crate::image::Picture;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{cameras, images, order, telemetry};
-use crate::pipeline::{Instances, PipelineError, Stage};
+use crate::pipeline::{Instances, Result, Stage};
 use crate::scene::Topic;
 use crate::video::VideoError;
 use masking::Masking;
@@ -21,7 +21,7 @@ use masking::Masking;
 pub(in crate::pipeline) use super::motion::point_tracks::FEATURES_PREFIX as PREFIX;
 pub(in crate::pipeline) const BACKGROUND: &str = "background";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let cameras: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| initial.camera).collect();
     let (background, _) = order::sfm_options(run)?;
     // No stage before this one reads given masks.
@@ -42,7 +42,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
     if run.options.background_model.is_none() {
@@ -60,11 +60,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
 }
 
 /// Tracks of the background; `points` of the vehicles are followed on the way, so that the images are decoded once.
-fn follow_background(
-    run: &Run,
-    mut points: Option<&mut Follower>,
-    outcome: &mut Outcome,
-) -> Result<TrackTable, PipelineError> {
+fn follow_background(run: &Run, mut points: Option<&mut Follower>, outcome: &mut Outcome) -> Result<TrackTable> {
     let initial = cameras::initial(run)?;
     if let Some(open) = cameras::not_covered(run, &initial) {
         outcome.warn(Topic::IntrinsicsIncomplete.warning(open));
@@ -97,7 +93,7 @@ fn follow_background(
 }
 
 /// The tracks of the background; the stage must be done.
-pub(in crate::pipeline) fn of_background(run: &Run) -> Result<TrackTable, PipelineError> {
+pub(in crate::pipeline) fn of_background(run: &Run) -> Result<TrackTable> {
     intermediate::read(&tracks_of(&run.folder(PREFIX, Stage::Features), BACKGROUND))
 }
 

@@ -3,7 +3,7 @@
 use super::super::background;
 use super::sources::{Ground, MAX_TILT};
 use crate::metric::{Alignment, Gravity, Kind, Offset, Source, Support};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::alignment::{FittedLog, fit, map_origin};
 use crate::pipeline::inputs::attitude::orientation;
@@ -85,7 +85,7 @@ pub(super) fn hovering(
     ground: &Ground,
     telemetry: Option<&Telemetry>,
     outcome: &mut Outcome,
-) -> Result<(Option<Aligned>, Option<Source>), PipelineError> {
+) -> Result<(Option<Aligned>, Option<Source>)> {
     let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
     let of_map = hovering::on_map_points(&run.options.metric, background, focal_std)?;
     let of_map = of_map.map(|OnMap { alignment, map, knows_height }| {

@@ -23,7 +23,7 @@ use crate::metric::{Fused, Source, frame_on_ground, frame_on_map, fuse};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{alignment, attitude, hovering, telemetry as log};
-use crate::pipeline::{MetricOptions, Options, PipelineError, TelemetryChoice};
+use crate::pipeline::{MetricOptions, Options, Result, TelemetryChoice};
 use crate::scene::{
     FrameId, GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic,
     Trajectories, sources_in_words,
@@ -54,8 +54,8 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// Reads the telemetry that is named, so that what is wrong with it is reported before any work.
 ///
 /// # Errors
-/// [`PipelineError::Telemetry`] names the file and the cure.
-pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError> {
+/// [`TelemetryError`](telemetry::TelemetryError) names the file and the cure.
+pub(in crate::pipeline) fn check(options: &Options) -> Result<()> {
     hovering::check_map_points(&options.metric)?;
     match &options.metric.telemetry {
         TelemetryChoice::File(path) => Ok(log::telemetry_of(path, options.memory()).map(drop)?),
@@ -63,7 +63,7 @@ pub(in crate::pipeline) fn check(options: &Options) -> Result<(), PipelineError>
     }
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let background = run.workspace.read_background()?;
     let trajectories = scale::in_units(run)?;
@@ -128,7 +128,7 @@ fn find(
     trajectories: &Trajectories,
     sizes: &BTreeMap<ObjectId, Size>,
     outcome: &mut Outcome,
-) -> Result<MetricResult, PipelineError> {
+) -> Result<MetricResult> {
     let mut ground = Ground::of(run, background)?;
     let telemetry = log::find(run, outcome);
     if let Some(telemetry) = &telemetry {

@@ -6,7 +6,7 @@ use super::super::{background, ground};
 use crate::ground::{CameraHeight, HeightFailure, camera_height};
 use crate::metric::{Kind, Level, Measured, Source};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{Reconstruction, Topic};
 
 /// The ground of the background, as far as metres need it.
@@ -25,7 +25,7 @@ pub(super) struct Ground {
 pub(super) const MAX_TILT: f64 = 0.35;
 
 impl Ground {
-    pub(super) fn of(run: &Run, background: &Reconstruction) -> Result<Self, PipelineError> {
+    pub(super) fn of(run: &Run, background: &Reconstruction) -> Result<Self> {
         let below = match ground::sources(run)?.hovering {
             Some(hovering) => Ok(hovering.camera_height(background)),
             None => {

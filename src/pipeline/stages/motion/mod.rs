@@ -25,7 +25,7 @@ use crate::networks::PerceptionError;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
-use crate::pipeline::{Instances, MotionChoice, PipelineError, Stage};
+use crate::pipeline::{Instances, MotionChoice, Result, Stage};
 use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
 use point_tracks::Followed;
 
@@ -41,7 +41,7 @@ pub(in crate::pipeline) struct Points {
     pub(in crate::pipeline) labels: Vec<TrackLabel>,
 }
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     if !point_tracks::is_wanted(run)? {
         return Ok(json!("none"));
     }
@@ -57,7 +57,7 @@ fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     if !point_tracks::is_wanted(run)? {
         return Ok(outcome);
@@ -87,12 +87,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
 }
 
 /// Moving objects before a camera that does not translate. Compared are the frames in which the detector looks.
-fn differences(
-    run: &Run,
-    world: &World,
-    frames: &[Frame],
-    outcome: &mut Outcome,
-) -> Result<Vec<MovingObject>, PipelineError> {
+fn differences(run: &Run, world: &World, frames: &[Frame], outcome: &mut Outcome) -> Result<Vec<MovingObject>> {
     let schedule = Schedule::of(run)?;
     let looks = (0u32..).zip(frames).filter(|(k, _)| schedule.is_detected(*k as usize));
     let indices: BTreeMap<FrameId, u32> = looks.map(|(k, frame)| (frame.id, k)).collect();
@@ -116,7 +111,7 @@ pub(in crate::pipeline) struct World {
 
 /// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
 /// motion is not looked at.
-pub(in crate::pipeline) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>, PipelineError> {
+pub(in crate::pipeline) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>> {
     if !point_tracks::is_wanted(run)? {
         return Ok(None);
     }
@@ -159,7 +154,7 @@ fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Opti
     }
 }
 
-fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Result<(), PipelineError> {
+fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Result<()> {
     let store: FrameFolder<BoxDetection> = FrameFolder::new(folder.to_owned());
     let mut boxes: BTreeMap<u32, Vec<BoxDetection>> = BTreeMap::new();
     for object in found {
@@ -186,7 +181,7 @@ pub(in crate::pipeline) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
 }
 
 /// The points and what is known of them; none where motion was not looked at. The stage must be done.
-pub(in crate::pipeline) fn points(run: &Run) -> Result<Points, PipelineError> {
+pub(in crate::pipeline) fn points(run: &Run) -> Result<Points> {
     if !point_tracks::is_wanted(run)? {
         return Ok(Points::default());
     }

@@ -14,7 +14,7 @@ use crate::motion::{PointFollower, PointTrack};
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
-use crate::pipeline::{Instances, PipelineError, Stage};
+use crate::pipeline::{Instances, Result, Stage};
 use crate::scene::Frame;
 
 /// Prefix of the folder of the stage `features`, where the points lie that it tracked on the way.
@@ -28,7 +28,7 @@ pub(in crate::pipeline) struct Followed {
 }
 
 /// Returns true if motion is wanted and the images are in time order.
-pub(in crate::pipeline) fn is_wanted(run: &Run) -> Result<bool, PipelineError> {
+pub(in crate::pipeline) fn is_wanted(run: &Run) -> Result<bool> {
     Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
 }
 
@@ -45,7 +45,7 @@ impl Follower {
     }
 
     /// Takes the next frame.
-    pub(in crate::pipeline) fn push(&mut self, frame: &Frame, picture: &Picture) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn push(&mut self, frame: &Frame, picture: &Picture) -> Result<()> {
         self.points.push(picture)?;
         self.frames.push(frame.clone());
         Ok(())
@@ -61,7 +61,7 @@ impl Follower {
 pub(in crate::pipeline) const FILE_NAME: &str = "points.bin";
 
 /// Points that the stage `features` left; otherwise they are tracked now, and kept in `folder`.
-pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Followed, PipelineError> {
+pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcome) -> Result<Followed> {
     let beside = beside_features(run);
     if beside.is_file() {
         return intermediate::read(&beside);
@@ -77,7 +77,7 @@ pub(in crate::pipeline) fn points(run: &Run, folder: &Path, outcome: &mut Outcom
 }
 
 /// Points that [`points`] gave; `folder` is where it may be kept.
-pub(in crate::pipeline) fn kept_points(run: &Run, folder: &Path) -> Result<Followed, PipelineError> {
+pub(in crate::pipeline) fn kept_points(run: &Run, folder: &Path) -> Result<Followed> {
     let beside = beside_features(run);
     intermediate::read(&if beside.is_file() { beside } else { folder.join(FILE_NAME) })
 }

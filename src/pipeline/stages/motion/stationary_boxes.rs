@@ -5,7 +5,7 @@
 use std::path::Path;
 
 use crate::motion::{PointTrack, TrackLabel, alive, shows_standing};
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::segment;
@@ -36,7 +36,7 @@ pub(in crate::pipeline) fn write(
     frames: &[Frame],
     tracks: &[PointTrack],
     labels: &[TrackLabel],
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let path = motion_folder.join(FOLDER);
     std::fs::create_dir_all(&path).map_err(crate::io::IoError::system("create", &path))?;
     let (detected, known) = (segment::finished_boxes(run), known(motion_folder));
@@ -58,11 +58,7 @@ pub(in crate::pipeline) fn write(
 }
 
 /// The boxes of the detector in a frame, and which of them stand. The stages `segment` and `motion` must be done.
-pub(in crate::pipeline) fn boxes(
-    run: &Run,
-    detected: &segment::BoxFolder,
-    frame: FrameId,
-) -> Result<Vec<DetectedBox>, PipelineError> {
+pub(in crate::pipeline) fn boxes(run: &Run, detected: &segment::BoxFolder, frame: FrameId) -> Result<Vec<DetectedBox>> {
     let mut found: Vec<DetectedBox> = detected.read(frame)?.into_iter().map(DetectedBox::from).collect();
     let path = super::folder(run);
     for StationaryBox(number) in known(&path).read(frame)? {

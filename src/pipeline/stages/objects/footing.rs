@@ -18,7 +18,7 @@ use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::hovering;
-use crate::pipeline::{Options, PipelineError};
+use crate::pipeline::{Options, Result};
 use crate::scene::{
     BoundingBox, FrameId, Image, Mask, Movement, ObjectId, Observation, Point3dId, Reconstruction, Rect,
 };
@@ -38,7 +38,7 @@ pub(super) struct Footing<'a> {
 }
 
 impl<'a> Footing<'a> {
-    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Result<Self, PipelineError> {
+    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Result<Self> {
         Ok(Self { run, background, hovering: hovering_ground(run, background)?, found: OnceCell::new() })
     }
 
@@ -56,7 +56,7 @@ impl<'a> Footing<'a> {
 }
 
 /// The ground below a camera that does not translate; `None` for others, and where nothing shows it.
-fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<HoveringGround>, PipelineError> {
+fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<HoveringGround>> {
     if background.is_empty() || !background.points.is_empty() {
         return Ok(None);
     }

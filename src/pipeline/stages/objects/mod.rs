@@ -27,7 +27,7 @@ use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_models;
 use crate::pipeline::inputs::{hovering, order};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{
     BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, StationaryVehicles, Topic, TrackedObject,
 };
@@ -40,8 +40,8 @@ const HOVERING: &str = "hovering-ground.json";
 /// Why there is no model where it is not the object's fault.
 const NO_BACKGROUND: &str = "no background to place it in";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
-    let given: Result<BTreeMap<_, _>, PipelineError> =
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
+    let given: Result<BTreeMap<_, _>> =
         run.options.object_models.iter().map(|(id, path)| Ok((id, given_models::fingerprint(path)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
     let cache_key = json!({
@@ -57,7 +57,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     Ok(background::with_model_files(cache_key, run))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let tracked = run.workspace.read_tracked()?;
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
@@ -123,12 +123,12 @@ fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
 
 /// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage must be
 /// done.
-pub(in crate::pipeline) fn hovering_ground(run: &Run) -> Result<Option<HoveringGround>, PipelineError> {
+pub(in crate::pipeline) fn hovering_ground(run: &Run) -> Result<Option<HoveringGround>> {
     run.workspace.read_state(HOVERING)
 }
 
 /// The reports of all objects; the stage must be done.
-pub(in crate::pipeline) fn reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>, PipelineError> {
+pub(in crate::pipeline) fn reports(run: &Run) -> Result<BTreeMap<ObjectId, ModelReport>> {
     run.workspace.read_state(REPORTS)
 }
 
@@ -137,7 +137,7 @@ pub(in crate::pipeline) fn as_reconstructed(
     run: &Run,
     id: ObjectId,
     report: &ModelReport,
-) -> Result<Option<Reconstruction>, PipelineError> {
+) -> Result<Option<Reconstruction>> {
     report.failure.is_none().then(|| Ok(run.workspace.read_as_reconstructed(id)?)).transpose()
 }
 
@@ -162,7 +162,7 @@ impl ObjectMarker {
     }
 
     /// To be called when the models are in their places.
-    fn write(&self, run: &Run, id: ObjectId) -> Result<(), PipelineError> {
+    fn write(&self, run: &Run, id: ObjectId) -> Result<()> {
         run.workspace.write_state(&marker_name(id), self)
     }
 }
@@ -192,7 +192,7 @@ impl ObjectContext<'_> {
         table: &TrackTable,
         camera: Camera,
         options: &mapper::Options,
-    ) -> Result<Option<(Reconstruction, ModelReport)>, PipelineError> {
+    ) -> Result<Option<(Reconstruction, ModelReport)>> {
         let by_points = match run.options.scale.stationary {
             StationaryVehicles::None => return Ok(None),
             StationaryVehicles::Found => self.by_points.get(&object.id),
@@ -219,7 +219,7 @@ fn one_object(
     place: &ObjectContext<'_>,
     fingerprint: &str,
     watch: &mut (dyn FnMut(f64) + Send),
-) -> Result<ObjectMarker, PipelineError> {
+) -> Result<ObjectMarker> {
     let id = object.id;
     let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name(id)).ok();
     if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint && marker.has_models(run, id)) {
@@ -281,14 +281,14 @@ fn check_silhouettes(
     run: &Run,
     tracked: &[TrackedObject],
     markers: &mut BTreeMap<ObjectId, ObjectMarker>,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let folder = run.workspace.unchecked_objects();
     let unchecked = markers.iter().filter(|(_, marker)| !marker.is_checked).map(|(&id, _)| {
         let model = colmap::read(&folder.join(id.to_string()))?;
         let votes = SilhouetteVotes::new(&model);
         Ok((id, Unchecked { model, votes }))
     });
-    let mut unchecked: BTreeMap<ObjectId, Unchecked> = unchecked.collect::<Result<_, PipelineError>>()?;
+    let mut unchecked: BTreeMap<ObjectId, Unchecked> = unchecked.collect::<Result<_>>()?;
     vote(run, tracked, &mut unchecked)?;
     for (id, Unchecked { mut model, votes }) in unchecked {
         let Some(marker) = markers.get_mut(&id) else { continue };
@@ -321,11 +321,7 @@ fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
 }
 
 /// Compares reconstructions with the masks of all frames.
-fn vote(
-    run: &Run,
-    tracked: &[TrackedObject],
-    unchecked: &mut BTreeMap<ObjectId, Unchecked>,
-) -> Result<(), PipelineError> {
+fn vote(run: &Run, tracked: &[TrackedObject], unchecked: &mut BTreeMap<ObjectId, Unchecked>) -> Result<()> {
     if unchecked.is_empty() {
         return Ok(());
     }

@@ -8,7 +8,7 @@ use serde_json::json;
 use super::{Scene, description};
 use crate::math::median;
 use crate::math::rounding::percent;
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::Outcome;
 use crate::pipeline::stages::background::ModelReport;
 use crate::scene::{
@@ -81,11 +81,7 @@ pub(in crate::pipeline) fn decided(tracks: Vec<GroundTrack>, objects: &[ObjectTr
 }
 
 /// Follows every vehicle on the ground whose trajectory is unusable or doubtful.
-pub(super) fn find(
-    scene: &Scene,
-    mut placed: Placed,
-    outcome: &mut Outcome,
-) -> Result<Vec<GroundTrack>, PipelineError> {
+pub(super) fn find(scene: &Scene, mut placed: Placed, outcome: &mut Outcome) -> Result<Vec<GroundTrack>> {
     let wanted = placed.tracked.iter().filter_map(|tracked| Some((tracked, placed.reason(tracked)?)));
     let are_wanted = !scene.background.is_empty() && !scene.run.options.scale.method_only;
     let wanted: Vec<_> = wanted.filter(|_| are_wanted).collect();

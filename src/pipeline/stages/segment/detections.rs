@@ -6,7 +6,7 @@ use std::path::PathBuf;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate::{self, damaged};
 use crate::scene::{Detection, Frame, FrameId, Mask};
 
@@ -31,12 +31,12 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
         self.path(frame.id).is_file()
     }
 
-    pub(in crate::pipeline) fn write(&self, frame: &Frame, found: &[T]) -> Result<(), PipelineError> {
+    pub(in crate::pipeline) fn write(&self, frame: &Frame, found: &[T]) -> Result<()> {
         intermediate::write(&self.path(frame.id), &found)
     }
 
     /// The things of a frame; none for one that could not be decoded.
-    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<T>, PipelineError> {
+    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<T>> {
         let path = self.path(frame);
         if path.is_file() { intermediate::read(&path) } else { Ok(Vec::new()) }
     }
@@ -69,7 +69,7 @@ impl DetectionFolder {
     }
 
     /// The detections of a frame; none for one that could not be decoded.
-    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<Detection>, PipelineError> {
+    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<Detection>> {
         let detection = |s: Stored| {
             let wrong = || damaged(&self.files.path(frame), "a mask differs in size from its frame");
             let mask = mask_of_runs(&s.runs, self.size).ok_or_else(wrong)?;

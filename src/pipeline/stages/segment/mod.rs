@@ -14,7 +14,7 @@ use crate::networks::{PerceptionError, Segmenter, load_segmenter};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::{Networks, of_networks};
-use crate::pipeline::{Instances, PipelineError, Stage};
+use crate::pipeline::{Instances, Result, Stage};
 use crate::scene::{BoxDetection, Frame, Topic};
 use detections::{DetectionFolder, FrameFolder, Stored};
 use schedule::Schedule;
@@ -25,7 +25,7 @@ pub(in crate::pipeline) type BoxFolder = FrameFolder<BoxDetection>;
 pub(in crate::pipeline) const MASKS: &str = "detections-";
 pub(in crate::pipeline) const BOXES: &str = "boxes-";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     Ok(match &run.options.instances {
         Instances::None => json!("none"),
         // Given masks are read by later stages; this one has nothing to do.
@@ -42,7 +42,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     match &run.options.instances {
         Instances::None | Instances::Masks(_) => Ok(Outcome::default()),
         Instances::Model(path) => find_masks(run, path, fingerprint),
@@ -65,11 +65,11 @@ fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {
 }
 
 /// Loads the user's network with the options of the run.
-pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>, PipelineError> {
+pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segmenter>> {
     Ok(load_segmenter(model, &run.options.segmentation, run.options.resources())?)
 }
 
-fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, PipelineError> {
+fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let path = run.workspace.intermediate(MASKS, fingerprint)?;
     let store = masks_in(run, path.clone());
@@ -88,7 +88,7 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome, Pip
     Ok(outcome)
 }
 
-fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let path = run.workspace.intermediate(BOXES, fingerprint)?;
     outcome.outputs.push(path.clone());
@@ -109,7 +109,7 @@ fn search<'a, T: Serialize + DeserializeOwned>(
     store: &FrameFolder<T>,
     outcome: &mut Outcome,
     mut look: impl FnMut(&RgbImage) -> Result<Vec<T>, PerceptionError>,
-) -> Result<usize, PipelineError> {
+) -> Result<usize> {
     let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| store.has(frame));
     tracing::debug!("{} of {} frames already processed", done.len(), done.len() + open.len());
     let mut found = 0;

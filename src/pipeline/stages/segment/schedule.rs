@@ -5,7 +5,7 @@
 //! flow between.
 
 use crate::math::upper_median;
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::Run;
 use crate::scene::Frame;
 
@@ -30,7 +30,7 @@ pub(in crate::pipeline) struct Schedule {
 
 impl Schedule {
     /// That of a run, whose frames must be known.
-    pub(in crate::pipeline) fn of(run: &Run) -> Result<Self, PipelineError> {
+    pub(in crate::pipeline) fn of(run: &Run) -> Result<Self> {
         let frames = run.frames()?;
         Ok(Self::new(step_s(frames), run.options.vehicles.segment_every, frames.len()))
     }

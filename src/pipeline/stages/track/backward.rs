@@ -14,7 +14,7 @@ use crate::io::masks;
 use crate::networks::FlowEstimator;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, FrameId, ObjectId, TrackedObject};
 use crate::tracking::{BackwardTracker, Correction, Evidence, Extension, TrackSummary, TrackedMask};
 
@@ -30,7 +30,7 @@ pub(super) fn extend(
     folder: &Path,
     followed: &mut [Followed],
     outcome: &mut Outcome,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let frames = run.frames()?;
     let index: BTreeMap<FrameId, usize> = frames.iter().enumerate().map(|(k, frame)| (frame.id, k)).collect();
     let starts: BTreeSet<usize> = followed.iter().filter_map(|f| index.get(&f.summary.first).copied()).collect();
@@ -80,7 +80,7 @@ fn follow_back(
     followed: &mut [Followed],
     flow: &mut dyn FlowEstimator,
     window: &[(Frame, RgbImage)],
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     let ids: BTreeSet<FrameId> = window.iter().map(|(frame, _)| frame.id).collect();
     let starting = followed.iter().filter(|f| ids.contains(&f.summary.first)).map(|f| f.summary.clone());
     let starting: Vec<TrackSummary> = starting.collect();

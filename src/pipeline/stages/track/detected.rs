@@ -16,7 +16,7 @@ use crate::pipeline::stages::motion::stationary_boxes;
 use crate::pipeline::stages::segment::detections::{DetectionFolder, FrameFolder};
 use crate::pipeline::stages::segment::schedule::Schedule;
 use crate::pipeline::stages::{motion, segment};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, Topic, TrackedObject};
 use crate::tracking::{
     BoxSource, Correction, DetectedBox, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, Tracker, TrackerOptions,
@@ -48,7 +48,7 @@ impl Finds {
     /// Of the detector and of motion, whose stages must be done.
     ///
     /// * `answers` – folder for the masks that were asked for.
-    pub(super) fn boxes(run: &Run, answers: PathBuf, outcome: &mut Outcome) -> Result<Self, PipelineError> {
+    pub(super) fn boxes(run: &Run, answers: PathBuf, outcome: &mut Outcome) -> Result<Self> {
         let prompter = CachedSegmenter::new(Networks::of(run)?.load_box_segmenter(run)?, answers);
         if prompter.is_coarse() {
             outcome.warn(
@@ -69,7 +69,7 @@ impl Finds {
     }
 
     /// Whom to ask for masks in a frame that is looked at again, from the end on; nobody in frames between.
-    pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Result<Option<&mut dyn BoxSegmenter>, PipelineError> {
+    pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Result<Option<&mut dyn BoxSegmenter>> {
         Ok(match self {
             Self::Masks { folder, known } => {
                 *known = KnownMasks::new(folder.read(frame.id)?);
@@ -83,7 +83,7 @@ impl Finds {
     }
 
     /// Input of the tracker for the `index`-th frame.
-    fn look(&mut self, run: &Run, index: usize, frame: &Frame) -> Result<FrameInput<'_>, PipelineError> {
+    fn look(&mut self, run: &Run, index: usize, frame: &Frame) -> Result<FrameInput<'_>> {
         Ok(match self {
             Self::Masks { folder, known } => {
                 let detections = folder.read(frame.id)?;
@@ -109,12 +109,7 @@ pub(super) struct Followed {
 }
 
 /// Follows what was found from frame to frame by optical flow; writes the masks into `folder`.
-pub(super) fn follow(
-    run: &Run,
-    finds: &mut Finds,
-    folder: &Path,
-    outcome: &mut Outcome,
-) -> Result<Vec<Followed>, PipelineError> {
+pub(super) fn follow(run: &Run, finds: &mut Finds, folder: &Path, outcome: &mut Outcome) -> Result<Vec<Followed>> {
     let frames = run.frames()?;
     let names: BTreeMap<FrameId, &Frame> = frames.iter().map(|frame| (frame.id, frame)).collect();
     let mut flow = super::load_flow_estimator(run)?;
@@ -173,7 +168,7 @@ fn settle(
     summary: TrackSummary,
     seen: &mut BTreeMap<ObjectId, BTreeSet<FrameId>>,
     names: &BTreeMap<FrameId, &Frame>,
-) -> Result<Followed, PipelineError> {
+) -> Result<Followed> {
     let from = provisional(folder, summary.provisional);
     let mut frames = seen.remove(&summary.provisional).unwrap_or_default();
     let confirmed = summary.first..=summary.last;

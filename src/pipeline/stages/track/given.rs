@@ -4,18 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use crate::io::masks;
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::scene::{DetectionCounts, FrameId, ObjectId, Outline, TrackedObject};
 
 /// Writes one mask per label of the given label maps into `folder`.
-pub(super) fn split(
-    run: &Run,
-    given: &Path,
-    folder: &Path,
-    outcome: &mut Outcome,
-) -> Result<Vec<TrackedObject>, PipelineError> {
+pub(super) fn split(run: &Run, given: &Path, folder: &Path, outcome: &mut Outcome) -> Result<Vec<TrackedObject>> {
     let frames = run.frames()?;
     let files = MaskFolder::open(given, frames, run.info())?;
     if let Some(warning) = files.warning(given, frames) {

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::pipeline::driver::intermediate::damaged;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::segment::detections::{FrameFolder, mask_of_runs, runs_of_mask};
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, Mask, ObjectId, TrackedObject};
 
 /// Prefix of the folder.
@@ -43,7 +43,7 @@ impl KeptMasks {
         images: &Path,
         objects: &[TrackedObject],
         fingerprint: &str,
-    ) -> Result<(Self, PathBuf), PipelineError> {
+    ) -> Result<(Self, PathBuf)> {
         let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
         let kept = Self::new(run, folder.clone());
         for frame in run.frames()? {
@@ -58,11 +58,7 @@ impl KeptMasks {
     }
 
     /// The masks of objects in a frame, in the order in which they were kept.
-    pub(super) fn read(
-        &self,
-        objects: &[TrackedObject],
-        frame: &Frame,
-    ) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
+    pub(super) fn read(&self, objects: &[TrackedObject], frame: &Frame) -> Result<Vec<(ObjectId, Mask)>> {
         let seen = objects.iter().filter(|object| object.is_visible_in(frame.id));
         let wanted: Vec<ObjectId> = seen.map(|object| object.id).collect();
         if wanted.is_empty() {

@@ -18,7 +18,7 @@ use crate::io::IoError;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
 use crate::pipeline::stages::motion;
-use crate::pipeline::{PipelineError, Stage};
+use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, FrameId, Gap, IdentityEvidence, ObjectId, UnmergedTrack};
 use crate::tracking::merging::{Colours, Joints, Pair, Span, agreeing, join, may_be_one};
 
@@ -49,12 +49,7 @@ struct ViewFeatures {
 }
 
 /// Joins the pieces that are one object; the masks of later ones go to the folder of the earliest.
-pub(super) fn join_pieces(
-    run: &Run,
-    folder: &Path,
-    followed: &mut Vec<Followed>,
-    outcome: &mut Outcome,
-) -> Result<(), PipelineError> {
+pub(super) fn join_pieces(run: &Run, folder: &Path, followed: &mut Vec<Followed>, outcome: &mut Outcome) -> Result<()> {
     keep_real_gaps(followed, run.frames()?);
     let candidates = candidates(run, folder, followed)?;
     if candidates.pairs.is_empty() {
@@ -114,7 +109,7 @@ fn frames_of(course: &EndMotion) -> [FrameId; 2] {
     [course.spot.frame, course.largest.frame]
 }
 
-fn candidates(run: &Run, folder: &Path, followed: &[Followed]) -> Result<Candidates, PipelineError> {
+fn candidates(run: &Run, folder: &Path, followed: &[Followed]) -> Result<Candidates> {
     let frames = run.frames()?;
     let index: BTreeMap<FrameId, usize> = frames.iter().enumerate().map(|(k, frame)| (frame.id, k)).collect();
     let world = motion::world(run, frames)?;
@@ -159,13 +154,13 @@ fn piece(
     followed: &Followed,
     index: &BTreeMap<FrameId, usize>,
     ground: Option<&Ground<'_>>,
-) -> Result<Option<Piece>, PipelineError> {
+) -> Result<Option<Piece>> {
     let frames = run.frames()?;
     let object = &followed.object;
     let seen = object.frames.iter().filter_map(|id| Some((*id, frames[*index.get(id)?].time_s)));
     let seen: Vec<(FrameId, f64)> = seen.collect();
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Ok(None) };
-    let end = |side: Side| -> Result<Option<EndMotion>, PipelineError> {
+    let end = |side: Side| -> Result<Option<EndMotion>> {
         let mut spots = Vec::new();
         for (id, time_s) in near(&seen, side) {
             spots.extend(Spot::of(id, time_s, &super::mask_in(run, folder, object.id, &frames[index[&id]])?));
@@ -183,7 +178,7 @@ fn looks(
     followed: &[Followed],
     candidates: &Candidates,
     outcome: &mut Outcome,
-) -> Result<BTreeMap<(usize, FrameId), ViewFeatures>, PipelineError> {
+) -> Result<BTreeMap<(usize, FrameId), ViewFeatures>> {
     let views = candidates.views();
     let wanted = views.values().flatten().copied().collect();
     let mut looks = BTreeMap::new();
@@ -235,7 +230,7 @@ fn in_common(a: &ViewFeatures, b: &ViewFeatures, tolerance_px: f64, matching: &M
 }
 
 /// Makes one object of the pieces of every joined pair.
-fn merge(run: &Run, folder: &Path, followed: &mut Vec<Followed>, joined: &[Pair]) -> Result<(), PipelineError> {
+fn merge(run: &Run, folder: &Path, followed: &mut Vec<Followed>, joined: &[Pair]) -> Result<()> {
     let mut joined = joined.to_vec();
     // The latest first, so that a chain is gathered in its earliest piece.
     joined.sort_by(|a, b| followed[b.after].summary.first.cmp(&followed[a.after].summary.first));
@@ -272,7 +267,7 @@ fn move_masks(
     to: ObjectId,
     frames: &[FrameId],
     names: &BTreeMap<FrameId, &Frame>,
-) -> Result<(), PipelineError> {
+) -> Result<()> {
     for frame in frames.iter().filter_map(|id| names.get(id)) {
         let source = mask_path(folder, from, frame);
         std::fs::rename(&source, mask_path(folder, to, frame)).map_err(IoError::system("rename", &source))?;

@@ -21,7 +21,7 @@ use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::networks::{Networks, of_networks};
 use crate::pipeline::inputs::order;
-use crate::pipeline::{Instances, PipelineError};
+use crate::pipeline::{Instances, PipelineError, Result};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
 use crate::tracking::{MaskEvidence, TrackSummary, support};
 use detected::Finds;
@@ -30,9 +30,9 @@ use kept_masks::KeptMasks;
 /// Where masks that were asked for are kept while the stage is at work.
 pub(in crate::pipeline) const ANSWERS: &str = "answers-";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let options = run.options;
-    let following = || -> Result<Value, PipelineError> {
+    let following = || -> Result<Value> {
         let flow_model = of_networks(run, options.flow_model.as_slice())?;
         let (_, objects) = order::sfm_options(run)?;
         Ok(json!({
@@ -54,7 +54,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value, PipelineError> 
     })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome, PipelineError> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
     let mut outcome = Outcome::default();
     let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
@@ -82,7 +82,7 @@ fn tracked(
     folder: &Path,
     answers: &Path,
     outcome: &mut Outcome,
-) -> Result<(Vec<TrackedObject>, BTreeMap<ObjectId, TrackSummary>), PipelineError> {
+) -> Result<(Vec<TrackedObject>, BTreeMap<ObjectId, TrackSummary>)> {
     let mut finds = match &run.options.instances {
         Instances::None => return Ok((Vec::new(), BTreeMap::new())),
         Instances::Masks(masks) => return Ok((given::split(run, masks, folder, outcome)?, BTreeMap::new())),
@@ -126,23 +126,18 @@ pub(in crate::pipeline) fn masks_of(
     run: &Run,
     objects: &[TrackedObject],
     frame: &Frame,
-) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
+) -> Result<Vec<(ObjectId, Mask)>> {
     KeptMasks::done(run).read(objects, frame)
 }
 
 /// The masks of a folder of images that is still in the making.
-fn masks_in(
-    run: &Run,
-    folder: &Path,
-    objects: &[TrackedObject],
-    frame: &Frame,
-) -> Result<Vec<(ObjectId, Mask)>, PipelineError> {
+fn masks_in(run: &Run, folder: &Path, objects: &[TrackedObject], frame: &Frame) -> Result<Vec<(ObjectId, Mask)>> {
     let seen = objects.iter().filter(|object| object.is_visible_in(frame.id));
     seen.map(|object| Ok((object.id, mask_in(run, folder, object.id, frame)?))).collect()
 }
 
 /// One of these masks.
-fn mask_in(run: &Run, folder: &Path, id: ObjectId, frame: &Frame) -> Result<Mask, PipelineError> {
+fn mask_in(run: &Run, folder: &Path, id: ObjectId, frame: &Frame) -> Result<Mask> {
     Ok(masks::read_mask(&mask_path(folder, id, frame), run.size())?)
 }
 
@@ -152,7 +147,7 @@ fn mask_path(folder: &Path, id: ObjectId, frame: &Frame) -> PathBuf {
 }
 
 /// The optical flow of the run's options.
-pub(in crate::pipeline) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>, PipelineError> {
+pub(in crate::pipeline) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>> {
     let options = run.options;
     Ok(load_flow(options.flow_model.as_deref(), options.resources())?)
 }
@@ -161,7 +156,7 @@ pub(in crate::pipeline) fn load_flow_estimator(run: &Run) -> Result<Box<dyn Flow
 ///
 /// # Errors
 /// [`PipelineError::Options`] says which there are.
-pub(in crate::pipeline) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> Result<()> {
     let unknown = run.options.object_models.keys().find(|id| !ids.contains(id));
     let Some(id) = unknown else { return Ok(()) };
     let text = format!("--object-model {id}=...: object {id} does not exist; tracked: {}", list(ids));
@@ -172,11 +167,7 @@ pub(in crate::pipeline) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> 
 ///
 /// # Errors
 /// As [`check_models`].
-pub(in crate::pipeline) fn check_ids(
-    run: &Run,
-    tracked: &[TrackedObject],
-    outcome: &mut Outcome,
-) -> Result<(), PipelineError> {
+pub(in crate::pipeline) fn check_ids(run: &Run, tracked: &[TrackedObject], outcome: &mut Outcome) -> Result<()> {
     let ids: BTreeSet<ObjectId> = tracked.iter().map(|object| object.id).collect();
     check_models(run, &ids)?;
     for id in run.options.only_objects.difference(&ids) {

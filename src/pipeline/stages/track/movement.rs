@@ -10,7 +10,7 @@ use crate::math::rounding::with_std;
 use crate::motion::{
     CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, alive, judge_pieces, without_sway,
 };
-use crate::pipeline::PipelineError;
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background;
 use crate::pipeline::stages::motion::{self, Points, World};
@@ -71,7 +71,7 @@ pub(super) fn path(run: &Run) -> PathBuf {
 }
 
 /// The findings by points; the stage `track` must be done.
-pub(in crate::pipeline) fn by_points(run: &Run) -> Result<PointFindings, PipelineError> {
+pub(in crate::pipeline) fn by_points(run: &Run) -> Result<PointFindings> {
     run.workspace.read_state(FINDINGS)
 }
 
@@ -80,7 +80,7 @@ pub(super) fn find(
     run: &Run,
     masks: &KeptMasks,
     objects: &mut [TrackedObject],
-) -> Result<BTreeMap<ObjectId, MaskEvidence>, PipelineError> {
+) -> Result<BTreeMap<ObjectId, MaskEvidence>> {
     let points = motion::points(run)?;
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, masks, objects, &points)? };
     let (second, hovers) = (frames_per_second(run.frames()?), background::hovers(run));
@@ -165,7 +165,7 @@ fn on_objects(
     masks: &KeptMasks,
     objects: &[TrackedObject],
     points: &Points,
-) -> Result<BTreeMap<ObjectId, OnObject>, PipelineError> {
+) -> Result<BTreeMap<ObjectId, OnObject>> {
     let names: BTreeMap<FrameId, &Frame> = run.frames()?.iter().map(|frame| (frame.id, frame)).collect();
     let seen: Vec<Frame> = points.frames.iter().filter_map(|id| Some((*names.get(id)?).clone())).collect();
     // Without every frame's name the world's frames are not those that tracks count.

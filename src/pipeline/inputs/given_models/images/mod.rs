@@ -20,7 +20,7 @@ use nalgebra::{Point2, UnitQuaternion, Vector2, Vector3};
 
 use crate::camera::{Camera, HigherTerms};
 use crate::math::Rigid3;
-use crate::pipeline::PipelineError;
+use crate::pipeline::{PipelineError, Result};
 use crate::scene::{CameraId, FrameId, Reconstruction, Topic, Warning};
 
 /// Known properties of the frames' images.
@@ -82,12 +82,7 @@ impl ImageTransform {
 ///
 /// # Errors
 /// [`PipelineError::Options`] names both sizes if pictures are not the frames.
-pub(super) fn fit(
-    path: &Path,
-    model: &mut Reconstruction,
-    sizes: &Sizes,
-    pictures: &Pictures,
-) -> Result<Vec<Warning>, PipelineError> {
+pub(super) fn fit(path: &Path, model: &mut Reconstruction, sizes: &Sizes, pictures: &Pictures) -> Result<Vec<Warning>> {
     complete_sizes(model, sizes, pictures);
     let mut known: BTreeMap<(CameraId, u8), CameraId> = BTreeMap::new();
     let mut cameras = BTreeMap::new();
