@@ -2,11 +2,12 @@
 
 use nalgebra::Vector3;
 
-use super::super::{background, ground};
+use super::super::background;
+use super::super::ground::{self, GroundResults};
 use crate::ground::{CameraHeight, HeightFailure, camera_height};
 use crate::metric::{Kind, Level, Measured, Source};
+use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::{Result, Stage};
 use crate::scene::{Reconstruction, Topic};
 
 /// The ground of the background, as far as metres need it.
@@ -26,7 +27,8 @@ pub(super) const MAX_TILT: f64 = 0.35;
 
 impl Ground {
     pub(super) fn of(run: &Run, background: &Reconstruction) -> Result<Self> {
-        let below = match ground::sources(run)?.hovering {
+        let GroundResults { hovering, mount, .. } = ground::sources(run)?;
+        let below = match hovering {
             Some(hovering) => Ok(hovering.camera_height(background)),
             None => {
                 let points = run.workspace.read_ground()?.point_ids;
@@ -35,7 +37,9 @@ impl Ground {
         };
         let normal = below.as_ref().ok().map(|found| (found.up_in_world, found.tilt_std()));
         let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
-        Ok(Self { normal, below, mount: mount(run), focal_std })
+        let mount =
+            mount.and_then(|found| Measured::new(found.height, found.height_std.hypot(found.drift * found.height)));
+        Ok(Self { normal, below, mount, focal_std })
     }
 
     /// Takes the vertical of a sensor instead of the ground's normal, unless the two contradict each other.
@@ -68,15 +72,6 @@ impl Ground {
     pub(super) fn level(&self, background: &Reconstruction) -> Level {
         Level::of_background(background, self.normal, self.below.as_ref().ok().map(|found| found.foot_in_world))
     }
-}
-
-/// Camera fixed to a vehicle, as the stage `ground` found it.
-fn mount(run: &Run) -> Option<Measured> {
-    let record = run.records.iter().find(|record| record.stage == Stage::Ground)?;
-    let mount = record.marker.figures.get("mount")?;
-    let number = |name: &str| mount.get(name).and_then(serde_json::Value::as_f64);
-    let (height, std, drift) = (number("height")?, number("height_std")?, number("wander")?);
-    Measured::new(height, std.hypot(drift * height))
 }
 
 /// Measured or given lengths.
