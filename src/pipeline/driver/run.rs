@@ -140,10 +140,7 @@ impl<'a> Run<'a> {
     /// # Errors
     /// [`PipelineError::Stopped`].
     pub(in crate::pipeline) fn go_on(&self) -> Result<()> {
-        match self.progress.is_stopped() {
-            true => Err(PipelineError::Stopped),
-            false => Ok(()),
-        }
+        if self.progress.is_stopped() { Err(PipelineError::Stopped) } else { Ok(()) }
     }
 
     /// Does a stage, unless it is done already.

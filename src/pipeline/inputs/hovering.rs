@@ -80,17 +80,15 @@ pub fn stated_tilts(
     on_map: Option<&OnMap>,
 ) -> Vec<StatedTilt> {
     let Some(first) = background.images.values().next() else { return Vec::new() };
-    let of_up = |source: &str, up_in_world: Vector3<f64>, covariance: Matrix3<f64>| {
+    let of_up = |kind: TiltKind, source: &str, up_in_world: Vector3<f64>, covariance: Matrix3<f64>| {
         let cam_from_world = first.cam_from_world.rotation.to_rotation_matrix();
         let covariance = cam_from_world * covariance * cam_from_world.transpose();
-        StatedTilt::of_up(source, &(cam_from_world * up_in_world), &covariance)
+        StatedTilt { kind, ..StatedTilt::of_up(source, &(cam_from_world * up_in_world), &covariance) }
     };
     let in_all_directions = |std: f64| Matrix3::identity() * std.powi(2);
     // The uprights of buildings are vertical.
-    let of_lines = |lines: &LineNormal| StatedTilt {
-        kind: TiltKind::Vertical,
-        ..of_up("straight lines", lines.normal_in_world, lines.covariance)
-    };
+    let of_lines =
+        |lines: &LineNormal| of_up(TiltKind::Vertical, "straight lines", lines.normal_in_world, lines.covariance);
     let mut found: Vec<StatedTilt> = by_lines.map(of_lines).into_iter().collect();
     found.extend(options.camera_pitch.map(|pitch| StatedTilt {
         source: "--camera-pitch".to_owned(),
@@ -100,13 +98,12 @@ pub fn stated_tilts(
     }));
     // The ground is not level.
     found.extend(vertical.map(|(up, std)| {
-        let tilt = of_up("attitude of the camera in telemetry", up, in_all_directions(std.hypot(SLOPE_STD)));
-        StatedTilt { kind: TiltKind::Vertical, ..tilt }
+        let covariance = in_all_directions(std.hypot(SLOPE_STD));
+        of_up(TiltKind::Vertical, "attitude of the camera in telemetry", up, covariance)
     }));
     found.extend(on_map.map(|OnMap { alignment, .. }| {
         let up = alignment.metric_from_world.rotation.inverse() * Vector3::z();
-        let tilt = of_up("--map-points", up, in_all_directions(alignment.tilt_std()));
-        StatedTilt { kind: TiltKind::Map, ..tilt }
+        of_up(TiltKind::Map, "--map-points", up, in_all_directions(alignment.tilt_std()))
     }));
     found
 }

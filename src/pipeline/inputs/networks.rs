@@ -19,10 +19,8 @@ use crate::pipeline::{DetectorChoice, MaskChoice, Options, Result};
 pub(in crate::pipeline) struct Networks {
     /// The detector.
     pub(in crate::pipeline) detector: Option<PathBuf>,
-    /// The small mask network.
-    small_masks: Option<PathBuf>,
-    /// The two parts of `MobileSAM`.
-    mobile_sam: Option<[PathBuf; 2]>,
+    /// Files of the mask network: the small one, or the two parts of `MobileSAM`.
+    pub(in crate::pipeline) masks: Vec<PathBuf>,
     /// Missing networks, with the consequence.
     pub(in crate::pipeline) doubts: Vec<String>,
 }
@@ -55,19 +53,13 @@ impl Networks {
                 default("no detector: vehicles are detected by motion only").map(|found| found.detector)
             }
         };
-        let choice = options.vehicles.mask_network;
-        let masks = match choice {
+        let mut of_masks = || default("no mask network: masks are by color only");
+        let masks = match options.vehicles.mask_network {
             MaskChoice::None => None,
-            _ => default("no mask network: masks are by color only"),
+            MaskChoice::Small => of_masks().map(|found| vec![found.small_masks]),
+            MaskChoice::Default => of_masks().map(|found| vec![found.mask_encoder, found.mask_decoder]),
         };
-        let (small_masks, mobile_sam) =
-            masks.map(|found| (found.small_masks, [found.mask_encoder, found.mask_decoder])).unzip();
-        Ok(Self {
-            detector,
-            small_masks: small_masks.filter(|_| choice == MaskChoice::Small),
-            mobile_sam: mobile_sam.filter(|_| choice == MaskChoice::Default),
-            ..networks
-        })
+        Ok(Self { detector, masks: masks.unwrap_or_default(), ..networks })
     }
 
     /// The detector, where there is one.
@@ -76,18 +68,13 @@ impl Networks {
         Ok(self.detector.as_deref().map(load).transpose()?)
     }
 
-    /// Files of the mask networks.
-    pub(in crate::pipeline) fn mask_files(&self) -> Vec<PathBuf> {
-        self.small_masks.iter().chain(self.mobile_sam.iter().flatten()).cloned().collect()
-    }
-
     /// Segmenter of boxes: mask networks, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>> {
         let (options, resources) = (&run.options.prompt, run.options.resources());
-        Ok(match (&self.small_masks, &self.mobile_sam) {
-            (Some(small), _) => load_small_box_segmenter(small, options, resources)?,
-            (None, Some([encoder, decoder])) => load_box_segmenter(encoder, decoder, options, resources)?,
-            (None, None) => Box::new(GrabCut::new(options)),
+        Ok(match &self.masks[..] {
+            [small] => load_small_box_segmenter(small, options, resources)?,
+            [encoder, decoder] => load_box_segmenter(encoder, decoder, options, resources)?,
+            _ => Box::new(GrabCut::new(options)),
         })
     }
 
@@ -96,10 +83,8 @@ impl Networks {
     /// # Errors
     /// As [`Self::load_detector`].
     pub(in crate::pipeline) fn check_detector(&self, run: &Run) -> Result<()> {
-        match came_with_the_program(self.detector.as_slice(), "boxes")? {
-            true => Ok(()),
-            false => self.load_detector(run).map(drop),
-        }
+        let is_known = came_with_the_program(self.detector.as_slice(), "boxes")?;
+        if is_known { Ok(()) } else { self.load_detector(run).map(drop) }
     }
 
     /// Refuses a mask network that cannot be used.
@@ -107,10 +92,8 @@ impl Networks {
     /// # Errors
     /// As [`Self::load_box_segmenter`].
     pub(in crate::pipeline) fn check_prompter(&self, run: &Run) -> Result<()> {
-        match came_with_the_program(&self.mask_files(), "box-masks")? {
-            true => Ok(()),
-            false => self.load_box_segmenter(run).map(drop),
-        }
+        let is_known = came_with_the_program(&self.masks, "box-masks")?;
+        if is_known { Ok(()) } else { self.load_box_segmenter(run).map(drop) }
     }
 }
 
@@ -178,7 +161,7 @@ mod tests {
     #[test]
     fn what_is_missing_is_said_and_stood_in_for() {
         let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
-        assert!(networks.detector.is_none() && networks.mask_files().is_empty());
+        assert!(networks.detector.is_none() && networks.masks.is_empty());
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
         assert!(detector.contains("motion only") && masks.contains("color only"));
         assert!(networks.doubts.iter().all(|doubt| doubt.ends_with("folder not found")));
@@ -201,16 +184,16 @@ mod tests {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
         let networks = Networks::chosen(&options, Ok(there())).unwrap();
-        assert!(networks.detector.is_none() && networks.mask_files().len() == 2 && networks.doubts.is_empty());
+        assert!(networks.detector.is_none() && networks.masks.len() == 2 && networks.doubts.is_empty());
         for (choice, files) in [(MaskChoice::Small, &["s"][..]), (MaskChoice::Default, &["e", "f"])] {
             options.vehicles.mask_network = choice;
-            let found = Networks::chosen(&options, Ok(there())).unwrap().mask_files();
+            let found = Networks::chosen(&options, Ok(there())).unwrap().masks;
             assert_eq!(found, files.iter().map(PathBuf::from).collect::<Vec<_>>());
         }
         options.vehicles.detector = DetectorChoice::File("mine.onnx".into());
         options.vehicles.mask_network = MaskChoice::None;
         let networks = Networks::chosen(&options, Err(missing())).unwrap();
         assert_eq!(networks.detector, Some("mine.onnx".into()));
-        assert!(networks.mask_files().is_empty() && networks.doubts.is_empty());
+        assert!(networks.masks.is_empty() && networks.doubts.is_empty());
     }
 }

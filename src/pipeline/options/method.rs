@@ -33,21 +33,16 @@ const PAPER: [(&str, &str); 11] = [
 with_names!(Method { Default = "default", Paper = "paper", PaperBaseline = "paper-baseline" });
 
 impl Method {
-    /// Its scale method, where it is one of the paper's.
-    const fn scale_method(self) -> Option<ScaleMethod> {
-        match self {
-            Self::Default => None,
-            Self::Paper => Some(ScaleMethod::ConstantDistance),
-            Self::PaperBaseline => Some(ScaleMethod::Intersection),
-        }
-    }
-
     /// Options with those of the method.
     ///
     /// # Errors
     /// [`OptionError`] if the options do not have one of them.
     pub fn applied(self, options: &Options) -> Result<Options, OptionError> {
-        let Some(method) = self.scale_method() else { return Ok(options.clone()) };
+        let method = match self {
+            Self::Default => return Ok(options.clone()),
+            Self::Paper => ScaleMethod::ConstantDistance,
+            Self::PaperBaseline => ScaleMethod::Intersection,
+        };
         let set = |options: Options, (key, value): &(&str, &str)| options.with_value(key, value);
         let mut options = PAPER.iter().try_fold(options.clone(), set)?;
         options.scale.method = method;
@@ -67,13 +62,11 @@ impl Options {
     /// # Errors
     /// [`OptionError`] names the option.
     pub fn check_labels(&self) -> Result<(), OptionError> {
-        match self.ground.labels_only && self.ground_labels == GroundLabels::Geometric {
-            true => {
-                let reason = "no ground labels, which --method paper needs; give --ground-masks or --ground-model";
-                Err(OptionError::new("ground_labels", reason))
-            }
-            false => Ok(()),
+        if !self.ground.labels_only || self.ground_labels != GroundLabels::Geometric {
+            return Ok(());
         }
+        let reason = "no ground labels, which --method paper needs; give --ground-masks or --ground-model";
+        Err(OptionError::new("ground_labels", reason))
     }
 }
 

@@ -7,6 +7,7 @@
 mod images;
 mod names;
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use super::cameras;
@@ -17,8 +18,8 @@ use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::model_report::ModelReport;
 use crate::pipeline::{PipelineError, Result};
-use crate::scene::{Frame, ImageId, Reconstruction, Warning};
-use images::{Pictures, Sizes};
+use crate::scene::{CameraId, Frame, ImageId, Reconstruction, Warning};
+use images::Pictures;
 
 /// Hash of all that is read of a model.
 ///
@@ -73,10 +74,18 @@ fn placed(
     let (place, format) = model::detect(path)?;
     check_place(path, &place, target)?;
     let (model, _) = model::read_for_geometry(&place)?;
-    let sizes = sizes_of(&place, format, &model);
+    let unstated = without_size(&place, format, &model);
     let (mut model, mut remarks) = names::with_frame_ids(path, model, frames)?;
-    remarks.extend(images::fit(path, &mut model, &sizes, pictures)?);
-    check_points(path, &model)?;
+    remarks.extend(images::fit(path, &mut model, &unstated, pictures)?);
+    // The ground and the scale ratio rest on points.
+    if model.points.is_empty() {
+        return Err(PipelineError::Options(format!(
+            "{}: no 3D point is observed in any frame; ground and scale need points; give a model with points and \
+             their observations (OpenSfM: tracks.csv next to it; nerfstudio has none: give the COLMAP model it was \
+             made from)",
+            path.display()
+        )));
+    }
     renew_errors(&mut model);
     Ok((model, remarks))
 }
@@ -94,27 +103,14 @@ fn check_place(path: &Path, place: &Path, target: Target) -> Result<()> {
     )))
 }
 
-/// Where the sizes of a model's pictures are from: NVM and Bundler have none, and those of pictures that lie next to
-/// the file are read.
-fn sizes_of(place: &Path, format: Format, model: &Reconstruction) -> Sizes {
+/// Cameras of which the file does not say how large their pictures are: NVM and Bundler have no sizes, and those of
+/// pictures that lie next to the file are read.
+fn without_size(place: &Path, format: Format, model: &Reconstruction) -> BTreeSet<CameraId> {
     if !matches!(format, Format::Nvm | Format::Bundler) {
-        return Sizes::default();
+        return BTreeSet::new();
     }
     let is_alone = |name: &str| !place.with_file_name("").join(name).is_file();
-    let alone = model.images.values().filter(|image| is_alone(&image.name));
-    Sizes { unstated: alone.map(|image| image.camera).collect() }
-}
-
-/// The ground and the scale ratio rest on points.
-fn check_points(path: &Path, model: &Reconstruction) -> Result<()> {
-    if !model.points.is_empty() {
-        return Ok(());
-    }
-    Err(PipelineError::Options(format!(
-        "{}: no 3D point is observed in any frame; ground and scale need points; give a model with points and their \
-         observations (OpenSfM: tracks.csv next to it; nerfstudio has none: give the COLMAP model it was made from)",
-        path.display()
-    )))
+    model.images.values().filter(|image| is_alone(&image.name)).map(|image| image.camera).collect()
 }
 
 fn renew_errors(model: &mut Reconstruction) {

@@ -47,7 +47,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
         Instances::Model(_) => following()?,
         Instances::Vehicles => json!({
             "following": following()?,
-            "masks": of_networks(run, &Networks::of(run)?.mask_files())?,
+            "masks": of_networks(run, &Networks::of(run)?.masks)?,
             "prompt": options.prompt,
             "every": Schedule::of(run)?.masks,
         }),

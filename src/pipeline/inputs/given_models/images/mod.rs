@@ -35,13 +35,6 @@ pub(super) struct Pictures<'a> {
     pub(super) turns: &'a dyn Fn(FrameId) -> Option<u8>,
 }
 
-/// Cameras of which the file does not say how large their pictures are: the size in the model holds their features, and
-/// its middle is the picture's.
-#[derive(Debug, Default)]
-pub(super) struct Sizes {
-    pub(super) unstated: BTreeSet<CameraId>,
-}
-
 /// Transformation of an image to its frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ImageTransform {
@@ -50,40 +43,42 @@ struct ImageTransform {
     turned: Camera,
     /// That of the frame.
     camera: Camera,
-    lens: Lens,
-}
-
-/// Relation between the distortion of an image and that of its frame.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Lens {
-    Same,
-    Undistorted,
+    /// True if the image has no distortion, but its frame has.
+    is_undistorted: bool,
 }
 
 impl ImageTransform {
     fn pixel(&self, pixel: Point2<f64>, stored: (u32, u32)) -> Point2<f64> {
         let pixel = turned_pixel(pixel, stored, self.num_turns);
-        let scale = |to: u32, from: u32| f64::from(to) / f64::from(from);
-        match self.lens {
-            Lens::Same => Point2::new(
-                pixel.x * scale(self.camera.width, self.turned.width),
-                pixel.y * scale(self.camera.height, self.turned.height),
-            ),
-            Lens::Undistorted => self.camera.pixel_from_normalized(self.turned.normalized_from_pixel(pixel)),
+        if self.is_undistorted {
+            return self.camera.pixel_from_normalized(self.turned.normalized_from_pixel(pixel));
         }
+        let scale = |to: u32, from: u32| f64::from(to) / f64::from(from);
+        Point2::new(
+            pixel.x * scale(self.camera.width, self.turned.width),
+            pixel.y * scale(self.camera.height, self.turned.height),
+        )
     }
 
     fn is_none(&self) -> bool {
-        self.num_turns == 0 && self.lens == Lens::Same && self.turned == self.camera
+        self.num_turns == 0 && !self.is_undistorted && self.turned == self.camera
     }
 }
 
 /// Brings a model whose images are frames to the pixels of the frames, and says what was taken for granted.
 ///
+/// * `unstated` – cameras of which the file does not say how large their pictures are: the size in the model holds their
+///   features, and its middle is the picture's.
+///
 /// # Errors
 /// [`PipelineError::Options`] names both sizes if pictures are not the frames.
-pub(super) fn fit(path: &Path, model: &mut Reconstruction, sizes: &Sizes, pictures: &Pictures) -> Result<Vec<Warning>> {
-    complete_sizes(model, sizes, pictures);
+pub(super) fn fit(
+    path: &Path,
+    model: &mut Reconstruction,
+    unstated: &BTreeSet<CameraId>,
+    pictures: &Pictures,
+) -> Result<Vec<Warning>> {
+    complete_sizes(model, unstated, pictures);
     let mut known: BTreeMap<(CameraId, u8), CameraId> = BTreeMap::new();
     let mut cameras = BTreeMap::new();
     let mut is_undistorted = false;
@@ -93,7 +88,7 @@ pub(super) fn fit(path: &Path, model: &mut Reconstruction, sizes: &Sizes, pictur
         let turns = (pictures.turns)(id.frame());
         let fit = fit_of(camera, turns, pictures)
             .ok_or_else(|| PipelineError::Options(other_pictures(path, camera, pictures)))?;
-        is_undistorted |= fit.lens == Lens::Undistorted;
+        is_undistorted |= fit.is_undistorted;
         let key = (image.camera, fit.num_turns);
         let fresh = fresh_id(image.camera, &stored, &cameras);
         let own = *known.entry(key).or_insert(fresh);
@@ -102,7 +97,7 @@ pub(super) fn fit(path: &Path, model: &mut Reconstruction, sizes: &Sizes, pictur
             let size = (camera.width, camera.height);
             image.observations.iter_mut().for_each(|seen| seen.pixel = fit.pixel(seen.pixel, size));
         }
-        if own != image.camera || fit.lens == Lens::Undistorted {
+        if own != image.camera || fit.is_undistorted {
             model.camera_forms.remove(&own);
         }
         cameras.insert(own, fit.camera);
@@ -134,10 +129,10 @@ fn fresh_id(own: CameraId, stored: &BTreeMap<CameraId, Camera>, taken: &BTreeMap
 }
 
 /// Gives pictures whose size is not stated that of the frames, or of what the frames were made from.
-fn complete_sizes(model: &mut Reconstruction, sizes: &Sizes, pictures: &Pictures) {
+fn complete_sizes(model: &mut Reconstruction, unstated: &BTreeSet<CameraId>, pictures: &Pictures) {
     let upright = [pictures.frame, pictures.source];
     for (id, image) in &mut model.images {
-        let Some(camera) = model.cameras.get(&image.camera).filter(|_| sizes.unstated.contains(&image.camera)) else {
+        let Some(camera) = model.cameras.get(&image.camera).filter(|_| unstated.contains(&image.camera)) else {
             continue;
         };
         let is_turned = is_odd((pictures.turns)(id.frame()));
@@ -165,12 +160,12 @@ fn fit_of(camera: &Camera, turns: Option<u8>, pictures: &Pictures) -> Option<Ima
     let num_turns = turns.filter(|_| lies && is_odd(turns)).unwrap_or(0);
     let turned = (0..num_turns).fold(*camera, |camera, _| turned_camera(&camera));
     if let Some(lens) = pictures.lens.filter(|lens| has_distortion(lens) && !has_distortion(camera)) {
-        return Some(ImageTransform { num_turns, turned, camera: lens, lens: Lens::Undistorted });
+        return Some(ImageTransform { num_turns, turned, camera: lens, is_undistorted: true });
     }
     let (width, height) = pictures.frame;
     let is_known = [pictures.frame, pictures.source].contains(&(turned.width, turned.height));
     let camera = if (turned.width, turned.height) == pictures.frame { turned } else { turned.resized(width, height) };
-    is_known.then_some(ImageTransform { num_turns, turned, camera, lens: Lens::Same })
+    is_known.then_some(ImageTransform { num_turns, turned, camera, is_undistorted: false })
 }
 
 fn has_distortion(camera: &Camera) -> bool {

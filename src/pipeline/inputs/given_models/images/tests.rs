@@ -15,8 +15,7 @@ fn odd_lens() -> Camera {
 }
 
 fn fitted(mut model: Reconstruction, pictures: &Pictures) -> Result<(Reconstruction, Vec<String>), String> {
-    let sizes = Sizes::default();
-    let remarks = fit(Path::new("m"), &mut model, &sizes, pictures).map_err(|error| error.to_string())?;
+    let remarks = fit(Path::new("m"), &mut model, &BTreeSet::new(), pictures).map_err(|error| error.to_string())?;
     Ok((model, remarks.into_iter().map(|warning| warning.text).collect()))
 }
 
@@ -101,12 +100,11 @@ fn undistorted_pictures_need_the_lens_of_the_frames() {
 fn sizes_that_no_file_states_are_the_frames() {
     let mut model = model_with(&[lens(900, 500, &[700.0, 700.0, 450.0, 250.0])]);
     let before = model.clone();
-    let sizes = Sizes { unstated: [CameraId(1)].into() };
     // One camera per image, as in the formats that have no sizes.
     model.images.retain(|id, _| id.0 == 1);
     let size = (960, 540);
     let pictures = Pictures { frame: size, source: size, lens: None, turns: &|_| Some(0) };
-    fit(Path::new("m"), &mut model, &sizes, &pictures).unwrap();
+    fit(Path::new("m"), &mut model, &[CameraId(1)].into(), &pictures).unwrap();
     assert_eq!(model.cameras[&CameraId(1)].principal, [480.0, 270.0]);
     let (seen, at) = (&model.images.values().next().unwrap().observations, &before.images.values().next().unwrap());
     assert!(
