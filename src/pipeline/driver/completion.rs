@@ -106,17 +106,16 @@ fn states(path: &Path, depth: usize, found: &mut Vec<Value>) {
     let name = path.file_name().map(|name| name.to_string_lossy());
     let state = fs::metadata(path).ok();
     let is_folder = state.as_ref().is_some_and(Metadata::is_dir);
-    found.push(json!([depth, name, state.filter(|_| !is_folder).map(|state| of_state(&state))]));
+    let of_file = state.filter(|_| !is_folder).map(|state| {
+        json!([state.len(), state.ino(), state.mtime(), state.mtime_nsec(), state.ctime(), state.ctime_nsec()])
+    });
+    found.push(json!([depth, name, of_file]));
     if is_folder && depth < 4 {
         let mut inside: Vec<PathBuf> =
             fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect();
         inside.sort();
         inside.iter().for_each(|path| states(path, depth + 1, found));
     }
-}
-
-fn of_state(state: &Metadata) -> Value {
-    json!([state.len(), state.ino(), state.mtime(), state.mtime_nsec(), state.ctime(), state.ctime_nsec()])
 }
 
 impl Completion {

@@ -10,8 +10,7 @@ use crate::math::{median, quantile};
 use crate::metric::ObservedPoint;
 use crate::pipeline::driver::run::Outcome;
 use crate::scene::{
-    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, MetricPose, Motion, Movement,
-    TimeBase, Topic,
+    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, Motion, Movement, TimeBase, Topic,
 };
 use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 
@@ -99,7 +98,7 @@ impl Placing<'_> {
             let size = |units: f64| Estimate { value: units, std: log_std * units }.scaled(self.frame.scale);
             track.apparent_size_m = Some(track.apparent_size.map(size));
             for position in &mut track.positions {
-                position.metric = self.contact_metric(position);
+                position.metric = self.observed(position).and_then(|at| metric_of(self.frame, self.map.as_ref(), &at));
             }
         }
         let measured = self.contacts(track);
@@ -135,10 +134,6 @@ impl Placing<'_> {
         let ObservedPoint { point, center, pose_covariance, .. } = self.observed(position)?;
         let along = (point - center).try_normalize(0.0)?;
         Some(along.dot(&(pose_covariance * along)).max(0.0).sqrt() / (point - center).norm())
-    }
-
-    fn contact_metric(&self, position: &GroundPosition) -> Option<MetricPose> {
-        metric_of(self.frame, self.map.as_ref(), &self.observed(position)?)
     }
 
     fn contacts(&self, track: &GroundTrack) -> Vec<PositionMeasurement> {

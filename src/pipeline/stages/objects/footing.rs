@@ -19,9 +19,7 @@ use crate::math::{Rigid3, median};
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::hovering;
 use crate::pipeline::{Options, Result};
-use crate::scene::{
-    BoundingBox, FrameId, Image, Mask, Movement, ObjectId, Observation, Point3dId, Reconstruction, Rect,
-};
+use crate::scene::{FrameId, Image, Movement, ObjectId, Observation, Point3dId, Reconstruction, Rect};
 use crate::trajectory::ground_constrained_poses;
 
 /// Error of an initial position, as a share of the object's extent: 0.05 and 0.1 gave models as good.
@@ -66,7 +64,7 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
     let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, Rect>> = BTreeMap::new();
     for frame in run.frames()? {
         for (id, mask) in track::masks_of(run, &tracked, frame)? {
-            let whole = mask.bounding_box().filter(|bounds| !is_cut(bounds, &mask));
+            let whole = mask.bounding_box().filter(|bounds| !bounds.touches_border(mask.width(), mask.height()));
             let Some(bounds) = whole else { continue };
             vehicles.entry(id).or_default().insert(frame.id, bounds.into());
         }
@@ -75,11 +73,6 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
     let tilts = hovering::tilts(run, background, background::normal_by_lines(run).as_ref())?;
     let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
     Ok(crate::ground::hovering_ground(background, &vehicles, tilts, focal_std))
-}
-
-/// Returns true if the border of the image cuts a mask off.
-fn is_cut(bounds: &BoundingBox, mask: &Mask) -> bool {
-    bounds.touches_border(mask.width(), mask.height())
 }
 
 /// Poses of the views of an object on the ground; `None` where there is none.
