@@ -228,7 +228,7 @@ fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<()> {
         run.workspace.clear_marker(stage)?;
     }
     let cache_key = cache_key(run, stage, input)?;
-    run.stage(stage, cache_key, |run, fingerprint| run_stage(run, stage, fingerprint))
+    run.stage(stage, cache_key, |run, fingerprint, outcome| run_stage(run, stage, fingerprint, outcome))
 }
 
 /// Everything that a stage's result depends on besides the stages before it.
@@ -262,20 +262,20 @@ fn intermediates(stage: Stage) -> &'static [&'static str] {
     }
 }
 
-fn run_stage(run: &Run, stage: Stage, fingerprint: &str) -> Result<Outcome> {
+fn run_stage(run: &Run, stage: Stage, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     match stage {
-        Stage::Frames => frames::run_stage(run),
-        Stage::Segment => segment::run_stage(run, fingerprint),
-        Stage::Features => features::run_stage(run, fingerprint),
-        Stage::Background => background::run_background(run),
-        Stage::Motion => motion::run_stage(run, fingerprint),
-        Stage::Track => track::run_stage(run, fingerprint),
-        Stage::Follow => follow::run_stage(run, fingerprint),
-        Stage::Objects => objects::run_stage(run, fingerprint),
-        Stage::Ground => ground::run_stage(run, fingerprint),
-        Stage::Scale => scale::run_stage(run),
-        Stage::Metric => metric::run_stage(run),
-        Stage::Report => report::run_stage(run),
+        Stage::Frames => frames::run_stage(run, outcome),
+        Stage::Segment => segment::run_stage(run, fingerprint, outcome),
+        Stage::Features => features::run_stage(run, fingerprint, outcome),
+        Stage::Background => background::run_background(run, outcome),
+        Stage::Motion => motion::run_stage(run, fingerprint, outcome),
+        Stage::Track => track::run_stage(run, fingerprint, outcome),
+        Stage::Follow => follow::run_stage(run, fingerprint, outcome),
+        Stage::Objects => objects::run_stage(run, fingerprint, outcome),
+        Stage::Ground => ground::run_stage(run, fingerprint, outcome),
+        Stage::Scale => scale::run_stage(run, outcome),
+        Stage::Metric => metric::run_stage(run, outcome),
+        Stage::Report => report::run_stage(run, outcome),
     }
 }
 

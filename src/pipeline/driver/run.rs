@@ -151,7 +151,7 @@ impl<'a> Run<'a> {
         &mut self,
         stage: Stage,
         cache_key: Value,
-        run_stage: impl FnOnce(&Self, &str) -> Result<Outcome>,
+        run_stage: impl FnOnce(&Self, &str, &mut Outcome) -> Result<()>,
     ) -> Result<()> {
         self.go_on()?;
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
@@ -173,9 +173,11 @@ impl<'a> Run<'a> {
         }
         self.progress.begin(stage.name(), None);
         let meter = Meter::start();
-        let outcome = run_stage(self, &fingerprint);
+        let mut outcome = Outcome::default();
+        let done = run_stage(self, &fingerprint, &mut outcome);
         self.progress.end();
-        let Outcome { warnings, figures, outputs } = outcome?;
+        done?;
+        let Outcome { warnings, figures, outputs } = outcome;
         let cost = meter.read();
         memory::give_back();
         // A folder into which a stage puts no file is not there: nothing of the result depends on it.

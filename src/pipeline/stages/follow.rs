@@ -28,10 +28,9 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let objects = run.workspace.read_tracked()?;
-    track::check_ids(run, &objects, &mut outcome)?;
+    track::check_ids(run, &objects, outcome)?;
     let camera = cameras::first(run)?.camera;
     let (_, sfm_options) = order::sfm_options(run)?;
     let options = run.options;
@@ -43,7 +42,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let frames = run.frames()?;
     let visible = frames.iter().filter(|frame| objects.iter().any(|object| object.is_visible_in(frame.id)));
     let visible = visible.map(|frame| frame.id).collect();
-    images::for_each(run, Stage::Follow, visible, &mut outcome, |frame, picture| {
+    images::for_each(run, Stage::Follow, visible, outcome, |frame, picture| {
         let picture = Picture::new(&picture);
         for (id, mask) in track::masks_of(run, &objects, &frame)? {
             if let Some(front_end) = front_ends.get_mut(&id) {
@@ -58,7 +57,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         intermediate::write(&tracks_of(&folder, &id.to_string()), &front_end.finish(options.seed)?)?;
     }
     outcome.outputs.push(folder);
-    Ok(outcome)
+    Ok(())
 }
 
 /// The tracks of one object; the stage must be done.

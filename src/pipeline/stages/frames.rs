@@ -13,15 +13,14 @@ pub(in crate::pipeline) fn cache_key(run: &Run, input: &str) -> Value {
     json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let scan = run.source.scan()?;
     let order = order::find(run, &scan.frames)?;
     let (frames, left_out) = match order.in_time {
         true => cameras::of_one_size(run.source, scan.frames),
         false => (scan.frames, Vec::new()),
     };
-    let mut outcome = Outcome::default();
-    run.keep(FRAMES, &frames, &mut outcome)?;
+    run.keep(FRAMES, &frames, outcome)?;
     for warning in scan.warnings.into_iter().chain(left_out) {
         outcome.warn(warning);
     }
@@ -46,5 +45,5 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
         outcome.figure("followed_share", share);
     }
     outcome.outputs.push(run.workspace.state(order::STATE));
-    Ok(outcome)
+    Ok(())
 }

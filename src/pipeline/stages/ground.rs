@@ -49,12 +49,11 @@ pub(super) fn body_shape(options: &Options) -> BodyShape {
     BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let background = run.workspace.read_background()?;
     let found = match background.is_empty() {
         true => GroundResults::default(),
-        false => find(run, &background, fingerprint, &mut outcome)?,
+        false => find(run, &background, fingerprint, outcome)?,
     };
     let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
     let mut bases: BTreeMap<String, BTreeMap<&str, usize>> = BTreeMap::new();
@@ -104,8 +103,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let path = run.workspace.ground();
     run.workspace.put_file(&path, |fresh| crate::io::ground::write(fresh, &ground))?;
     outcome.outputs.push(path);
-    run.keep(SOURCES, &found, &mut outcome)?;
-    Ok(outcome)
+    run.keep(SOURCES, &found, outcome)
 }
 
 /// Results that the stage computes before any object.

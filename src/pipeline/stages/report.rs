@@ -34,7 +34,7 @@ pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<()> {
     let source = cameras::open(&input, &told.options)?;
     let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
     run.recall();
-    run_stage(&run).map(drop)
+    run_stage(&run, &mut Outcome::default())
 }
 
 /// Makes the page of an output folder again, so that it links to what was exported.
@@ -134,7 +134,7 @@ fn title(run: &Run) -> String {
     run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned())
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let tracked = run.workspace.read_tracked()?;
     let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
@@ -154,8 +154,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
         is_sfm: false,
         ..models(run, &background, &tracked)?
     };
-    put_page(run, &data)?;
-    Ok(Outcome { outputs: vec![run.workspace.report()], ..Outcome::default() })
+    outcome.outputs.push(run.workspace.report());
+    put_page(run, &data)
 }
 
 /// The objects that have a model.

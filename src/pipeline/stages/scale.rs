@@ -43,8 +43,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
     json!({ "options": run.options.scale })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let background = run.workspace.read_background()?;
     let reports = objects::reports(run)?;
     clear(run, &reports)?;
@@ -55,7 +54,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     for tracked in &mut tracked {
         tracked.movement = scene.by_points(tracked);
         if let Some(report) = reports.get(&tracked.id) {
-            scene.place(tracked, report, &mut found, &mut outcome)?;
+            scene.place(tracked, report, &mut found, outcome)?;
         }
     }
     outcome.figure("num_trajectories", found.placed.len());
@@ -71,8 +70,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     }
     outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
-    let mut objects = with_verdicts(found.placed, verdicts, &mut outcome);
-    ground_tracks::judge(&scene, &mut objects, &found.followed, &mut outcome);
+    let mut objects = with_verdicts(found.placed, verdicts, outcome);
+    ground_tracks::judge(&scene, &mut objects, &found.followed, outcome);
     let placed = ground_tracks::Placed {
         tracked: &tracked,
         objects: &objects,
@@ -80,17 +79,17 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
         failures: &found.failures,
         followed: found.followed,
     };
-    let ground_tracks = ground_tracks::find(&scene, placed, &mut outcome)?;
+    let ground_tracks = ground_tracks::find(&scene, placed, outcome)?;
     let mut all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
     all.ground_tracks = ground_tracks::decided(all.ground_tracks, &all.objects);
     outcome.figure("num_ground_tracks", all.ground_tracks.len());
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
-    run.keep(FAILURES, &found.failures, &mut outcome)?;
-    run.keep(RESULTS, &found.results, &mut outcome)?;
+    run.keep(FAILURES, &found.failures, outcome)?;
+    run.keep(RESULTS, &found.results, outcome)?;
     outcome.outputs.extend([run.workspace.state(IN_UNITS), path]);
-    Ok(outcome)
+    Ok(())
 }
 
 /// Takes away what speaks of the trajectories that are replaced.

@@ -56,17 +56,16 @@ pub(in crate::pipeline) fn with_model_files(mut cache_key: Value, run: &Run) -> 
     cache_key
 }
 
-pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_background(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let (model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,
-        None => reconstruct_views(run, &mut outcome)?,
+        None => reconstruct_views(run, outcome)?,
     };
     if !model.points.is_empty() {
         if order::found(run)?.in_time {
             report.focal_changes = focal_changes(run, &model, report.given)?;
         }
-        calibration_check::check_fit(run, &model, &mut report, &mut outcome)?;
+        calibration_check::check_fit(run, &model, &mut report, outcome)?;
     }
     if let Some(failure) = &mut report.failure {
         failure.push_str(&cure_of_large_frames(run.size()));
@@ -76,14 +75,14 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome> {
     } else {
         report.remarks.iter().for_each(|remark| outcome.warn(remark.of("background")));
         report.focal_changes.iter().for_each(|change| outcome.warn(warning_of(change)));
-        warn_of_gaps("background", &report, &mut outcome);
+        warn_of_gaps("background", &report, outcome);
     }
     if let Some(figures) = center_figures(&model, &prior_std(run, &model, report.given)?) {
         outcome.figure("camera_center_deviation", figures);
     }
     store(run, &run.workspace.background(), &model)?;
     outcome.outputs.push(run.workspace.background());
-    run.keep(BACKGROUND_REPORT, &report, &mut outcome)?;
+    run.keep(BACKGROUND_REPORT, &report, outcome)?;
     outcome.figure("num_registered", report.num_registered);
     outcome.figure("num_points", report.num_points);
     outcome.figure("num_infinite_points", report.num_infinite_points);
@@ -100,7 +99,7 @@ pub(in crate::pipeline) fn run_background(run: &Run) -> Result<Outcome> {
     if report.cameras.len() > 1 {
         outcome.figure("cameras", json!(report.cameras));
     }
-    Ok(outcome)
+    Ok(())
 }
 
 /// A map of the views, or rotations alone where the camera does not translate.

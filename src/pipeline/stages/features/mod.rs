@@ -42,13 +42,12 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
     if run.options.background_model.is_none() {
         let are_wanted = run.goal >= Stage::Motion && point_tracks::is_wanted(run)?;
         let mut points = are_wanted.then(|| Follower::new(run));
-        let table = follow_background(run, points.as_mut(), &mut outcome)?;
+        let table = follow_background(run, points.as_mut(), outcome)?;
         if let Some(points) = points {
             intermediate::write(&folder.join(point_tracks::FILE_NAME), &points.finish())?;
         }
@@ -56,7 +55,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
         intermediate::write(&tracks_of(&folder, BACKGROUND), &table)?;
     }
     outcome.outputs.push(folder);
-    Ok(outcome)
+    Ok(())
 }
 
 /// Tracks of the background; `points` of the vehicles are followed on the way, so that the images are decoded once.

@@ -63,19 +63,18 @@ pub(in crate::pipeline) fn check(options: &Options) -> Result<()> {
     }
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let background = run.workspace.read_background()?;
     let trajectories = scale::in_units(run)?;
     let ScaleResults { sizes, pose_covariances } = scale::results(run)?;
     let found = match background.is_empty() {
         true => MetricResult::unknown("no background"),
-        false => find(run, &background, &trajectories, &sizes, &mut outcome)?,
+        false => find(run, &background, &trajectories, &sizes, outcome)?,
     };
-    describe(&found.metric, &mut outcome);
+    describe(&found.metric, outcome);
     let Trajectories { unit, mut objects, mut ground_tracks, .. } = trajectories;
     vehicles::correct_classes(&mut objects, &sizes, found.known);
-    vehicles::doubt_sizes(&mut objects, &sizes, found.known, &mut outcome);
+    vehicles::doubt_sizes(&mut objects, &sizes, found.known, outcome);
     ground_tracks = scale::ground_tracks::decided(ground_tracks, &objects);
     let is_placed = !objects.is_empty() || !ground_tracks.is_empty();
     let nominal = match found.metric.frame {
@@ -96,7 +95,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
             }
         }
         let scale = if nominal.is_some() { Scale::Nominal } else { Scale::Known };
-        ground_tracks = ground_tracks::fill(&placing, ground_tracks, scale, &mut outcome);
+        ground_tracks = ground_tracks::fill(&placing, ground_tracks, scale, outcome);
     }
     outcome.figure("num_ground_tracks", ground_tracks.len());
     let all = Trajectories { unit, metric: Some(found.metric), objects, ground_tracks };
@@ -105,7 +104,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run) -> Result<Outcome> {
     let path = run.workspace.trajectories();
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
     outcome.outputs.push(path);
-    Ok(outcome)
+    Ok(())
 }
 
 /// Metres, and the map where it is known.

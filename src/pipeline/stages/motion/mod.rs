@@ -57,19 +57,18 @@ fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     if !point_tracks::is_wanted(run)? {
-        return Ok(outcome);
+        return Ok(());
     }
     let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
-    let Followed { frames, tracks } = point_tracks::points(run, &folder, &mut outcome)?;
+    let Followed { frames, tracks } = point_tracks::points(run, &folder, outcome)?;
     // Of a long video the background takes as much room as what comes now.
-    let world = World::new(run, &run.workspace.read_background()?, &frames, &mut outcome);
+    let world = World::new(run, &run.workspace.read_background()?, &frames, outcome);
     let labels = classify(&tracks, &world.surroundings(run));
     let found: Vec<MovingObject> = match () {
         () if !finds(run) => Vec::new(),
-        () if background::hovers(run) => differences(run, &world, &frames, &mut outcome)?,
+        () if background::hovers(run) => differences(run, &world, &frames, outcome)?,
         () => {
             let by_points = movers(&tracks, &labels, &world.surroundings(run));
             by_points.into_iter().map(MovingObject::from).collect()
@@ -83,7 +82,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     write_boxes(&folder, &frames, &found)?;
     intermediate::write(&folder.join(LABELS), &labels)?;
     outcome.outputs.push(folder);
-    Ok(outcome)
+    Ok(())
 }
 
 /// Moving objects before a camera that does not translate. Compared are the frames in which the detector looks.

@@ -57,8 +57,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     Ok(background::with_model_files(cache_key, run))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let tracked = run.workspace.read_tracked()?;
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let background = run.workspace.read_background()?;
@@ -67,7 +66,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let by_points = track::movement::by_points(run)?;
     let place =
         ObjectContext { camera, hovers, background: &background, by_points, footing: Footing::new(run, &background)? };
-    run.keep(HOVERING, &place.footing.hovering, &mut outcome)?;
+    run.keep(HOVERING, &place.footing.hovering, outcome)?;
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -85,13 +84,12 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     let reports: BTreeMap<ObjectId, ModelReport> =
         markers.into_iter().map(|(id, marker)| (id, marker.report)).collect();
     for (id, report) in &reports {
-        describe(*id, report, &mut outcome);
+        describe(*id, report, outcome);
     }
     run.workspace.keep_objects(&run.workspace.all_as_reconstructed(), |id| reports.contains_key(&id))?;
     let models = reports.iter().filter(|(_, report)| report.failure.is_none());
     outcome.outputs.extend(models.map(|(&id, _)| run.workspace.as_reconstructed(id)));
-    run.keep(REPORTS, &reports, &mut outcome)?;
-    Ok(outcome)
+    run.keep(REPORTS, &reports, outcome)
 }
 
 fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {

@@ -42,11 +42,11 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     match &run.options.instances {
-        Instances::None | Instances::Masks(_) => Ok(Outcome::default()),
-        Instances::Model(path) => find_masks(run, path, fingerprint),
-        Instances::Vehicles => find_boxes(run, fingerprint),
+        Instances::None | Instances::Masks(_) => Ok(()),
+        Instances::Model(path) => find_masks(run, path, fingerprint, outcome),
+        Instances::Vehicles => find_boxes(run, fingerprint, outcome),
     }
 }
 
@@ -69,12 +69,11 @@ pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segme
     Ok(load_segmenter(model, &run.options.segmentation, run.options.resources())?)
 }
 
-fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+fn find_masks(run: &Run, model: &Path, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let path = run.workspace.intermediate(MASKS, fingerprint)?;
     let store = masks_in(run, path.clone());
     let mut segmenter = load(run, model)?;
-    let found = search(run, run.frames()?.iter(), &store.files, &mut outcome, |picture| {
+    let found = search(run, run.frames()?.iter(), &store.files, outcome, |picture| {
         Ok(segmenter.segment(picture)?.into_iter().map(Stored::from).collect())
     })?;
     if found == 0 {
@@ -85,21 +84,20 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str) -> Result<Outcome> {
         )));
     }
     outcome.outputs.push(path);
-    Ok(outcome)
+    Ok(())
 }
 
-fn find_boxes(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+fn find_boxes(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let path = run.workspace.intermediate(BOXES, fingerprint)?;
     outcome.outputs.push(path.clone());
     let networks = Networks::of(run)?;
     networks.doubts.iter().for_each(|doubt| outcome.warn(Topic::NetworksMissing.warning(doubt)));
-    let Some(mut detector) = networks.load_detector(run)? else { return Ok(outcome) };
+    let Some(mut detector) = networks.load_detector(run)? else { return Ok(()) };
     let store = BoxFolder::new(path);
     let rhythm = Schedule::of(run)?;
     let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));
-    search(run, looked.map(|(_, frame)| frame), &store, &mut outcome, |picture| detector.detect(picture))?;
-    Ok(outcome)
+    search(run, looked.map(|(_, frame)| frame), &store, outcome, |picture| detector.detect(picture))?;
+    Ok(())
 }
 
 /// Looks at the frames that an earlier run has not finished. Returns the number of things in all frames.

@@ -54,15 +54,14 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Outcome> {
-    let mut outcome = Outcome::default();
+pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
     let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
-        let (mut objects, summaries) = tracked(run, folder, &answers, &mut outcome)?;
+        let (mut objects, summaries) = tracked(run, folder, &answers, outcome)?;
         let (masks, kept) = KeptMasks::keep(run, folder, &objects, fingerprint)?;
         outcome.outputs.push(kept);
         let sighted = movement::find(run, &masks, &mut objects)?;
-        leave_out(&mut objects, &summaries, &sighted, &mut outcome);
+        leave_out(&mut objects, &summaries, &sighted, outcome);
         Ok(objects)
     })?;
     if objects.is_empty() && run.options.instances != Instances::None {
@@ -74,7 +73,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str) -> Result<Out
     outcome.figure("num_objects", objects.len());
     outcome.figure("num_moving", objects.iter().filter(|object| object.movement.state == Movement::Moving).count());
     outcome.outputs.extend([run.workspace.tracks(), run.workspace.tracked(), movement::path(run)]);
-    Ok(outcome)
+    Ok(())
 }
 
 fn tracked(
