@@ -26,9 +26,11 @@ pub(in crate::pipeline) fn vertical(
     telemetry: &Telemetry,
     outcome: &mut Outcome,
 ) -> Option<(Vector3<f64>, f64)> {
+    let clockwise = f64::from(run.info().rotation_deg).to_radians();
+    let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), clockwise);
     let pairs = pairs(run, seen, telemetry);
-    describe_rotations(&pairs, outcome);
-    let down = |(sample, upright, image): &(CameraSample, UnitQuaternion<f64>, &Image)| {
+    describe_rotations(&pairs, upright, outcome);
+    let down = |(sample, image): &(CameraSample, &Image)| {
         Some(image.cam_from_world.rotation.inverse() * (upright * sample.down_in_image?))
     };
     let downs: Vec<Vector3<f64>> = pairs.iter().filter_map(down).collect();
@@ -48,20 +50,12 @@ pub(in crate::pipeline) fn vertical(
     Some((-mean, GRAVITY_STD.max(spread)))
 }
 
-/// Samples with the rotation that makes the stored image upright, and the image at their time.
-fn pairs<'a>(
-    run: &Run,
-    seen: &[(&'a Frame, &'a Image)],
-    telemetry: &Telemetry,
-) -> Vec<(CameraSample, UnitQuaternion<f64>, &'a Image)> {
-    let samples = &telemetry.log.camera;
-    let clockwise = f64::from(run.info().rotation_deg).to_radians();
-    let upright = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), clockwise);
+/// Samples, and the image at their time.
+fn pairs<'a>(run: &Run, seen: &[(&'a Frame, &'a Image)], telemetry: &Telemetry) -> Vec<(CameraSample, &'a Image)> {
     let offset_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
     let pair = |(frame, image): &(&Frame, &'a Image)| {
-        let time_s = frame.time_s + offset_s;
-        let sample = nearest(samples, time_s, MAX_AGE_S, |sample| sample.video_s)?;
-        Some((*sample, upright, *image))
+        let sample = nearest(&telemetry.log.camera, frame.time_s + offset_s, MAX_AGE_S, |sample| sample.video_s)?;
+        Some((*sample, *image))
     };
     seen.iter().filter_map(pair).collect()
 }
@@ -75,8 +69,10 @@ fn nearest<T>(samples: &[T], time_s: f64, max_age_s: f64, at_s: impl Fn(&T) -> f
 }
 
 /// States by how much the camera's own rotations differ from those of the reconstruction.
-fn describe_rotations(pairs: &[(CameraSample, UnitQuaternion<f64>, &Image)], outcome: &mut Outcome) {
-    let rotation = |(sample, upright, image): &(CameraSample, UnitQuaternion<f64>, &Image)| {
+///
+/// * `upright` – makes the stored image upright.
+fn describe_rotations(pairs: &[(CameraSample, &Image)], upright: UnitQuaternion<f64>, outcome: &mut Outcome) {
+    let rotation = |(sample, image): &(CameraSample, &Image)| {
         Some(((upright * sample.image_from_start?).inverse(), image.cam_from_world.rotation))
     };
     let rotations: Vec<_> = pairs.iter().filter_map(rotation).collect();

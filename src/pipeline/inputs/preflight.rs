@@ -4,7 +4,7 @@
 //! is needed last. What an earlier run has done already is not looked at again.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::cameras;
 use super::given_masks::MaskFolder;
@@ -64,47 +64,26 @@ pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<()> {
 /// # Errors
 /// What the stage itself would say of the file.
 pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<()> {
-    open.iter().try_for_each(|stage| match stage {
-        Stage::Segment => segmentation_model(run),
-        Stage::Features => given_masks(run),
-        Stage::Track => networks_of_tracking(run),
-        Stage::Follow => object_ids(run),
-        Stage::Background => models(run, run.options.background_model.iter(), Target::Background),
-        Stage::Objects => models(run, run.options.object_models.values(), Target::Object),
-        Stage::Ground => ground_labels(run),
-        Stage::Frames | Stage::Motion | Stage::Scale | Stage::Metric | Stage::Report => Ok(()),
-    })
-}
-
-fn segmentation_model(run: &Run) -> Result<()> {
-    match &run.options.instances {
-        Instances::Model(path) => segment::load(run, path).map(drop),
-        Instances::Vehicles => Networks::of(run)?.check_detector(run),
-        Instances::None | Instances::Masks(_) => Ok(()),
-    }
-}
-
-fn given_masks(run: &Run) -> Result<()> {
-    match &run.options.instances {
-        Instances::Masks(folder) => MaskFolder::open(folder, run.frames()?, run.info())?.check(),
-        Instances::None | Instances::Model(_) | Instances::Vehicles => Ok(()),
-    }
-}
-
-fn networks_of_tracking(run: &Run) -> Result<()> {
-    match &run.options.instances {
-        Instances::None | Instances::Masks(_) => Ok(()),
-        Instances::Model(_) => track::load_flow_estimator(run).map(drop),
-        Instances::Vehicles => {
+    open.iter().try_for_each(|stage| match (stage, &run.options.instances) {
+        (Stage::Segment, Instances::Model(path)) => segment::load(run, path).map(drop),
+        (Stage::Segment, Instances::Vehicles) => Networks::of(run)?.check_detector(run),
+        (Stage::Features, Instances::Masks(folder)) => MaskFolder::open(folder, run.frames()?, run.info())?.check(),
+        (Stage::Track, Instances::Model(_)) => track::load_flow_estimator(run).map(drop),
+        (Stage::Track, Instances::Vehicles) => {
             track::load_flow_estimator(run)?;
             Networks::of(run)?.check_prompter(run)
         }
-    }
+        (Stage::Follow, Instances::Masks(folder)) => object_ids(run, folder),
+        (Stage::Background, _) => models(run, run.options.background_model.iter(), Target::Background),
+        (Stage::Objects, _) => models(run, run.options.object_models.values(), Target::Object),
+        (Stage::Ground, _) => ground_labels(run),
+        (Stage::Segment | Stage::Features | Stage::Track | Stage::Follow, _) => Ok(()),
+        (Stage::Frames | Stage::Motion | Stage::Scale | Stage::Metric | Stage::Report, _) => Ok(()),
+    })
 }
 
 /// Given masks say which objects there are before anything is tracked.
-fn object_ids(run: &Run) -> Result<()> {
-    let Instances::Masks(folder) = &run.options.instances else { return Ok(()) };
+fn object_ids(run: &Run, folder: &Path) -> Result<()> {
     if run.options.object_models.is_empty() {
         return Ok(());
     }
