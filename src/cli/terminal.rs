@@ -46,24 +46,14 @@ pub(super) enum Verbosity {
     Verbose,
 }
 
-/// Form of progress, once the kind of stderr is known.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Shown {
-    Bar,
-    Plain,
-    Json,
-    Nothing,
-}
-
-impl Shown {
-    fn new(kind: ProgressKind, verbosity: Verbosity) -> Self {
-        match kind {
-            _ if verbosity == Verbosity::Quiet => Self::Nothing,
-            ProgressKind::Auto if io::stderr().is_terminal() => Self::Bar,
-            ProgressKind::Auto | ProgressKind::Plain => Self::Plain,
-            ProgressKind::Bar => Self::Bar,
-            ProgressKind::Json => Self::Json,
-            ProgressKind::None => Self::Nothing,
+impl ProgressKind {
+    /// The form, once the kind of stderr is known: not `Auto`.
+    fn shown(self, verbosity: Verbosity) -> Self {
+        match self {
+            _ if verbosity == Verbosity::Quiet => Self::None,
+            Self::Auto if io::stderr().is_terminal() => Self::Bar,
+            Self::Auto => Self::Plain,
+            kind => kind,
         }
     }
 
@@ -72,7 +62,7 @@ impl Shown {
         match self {
             Self::Plain => Some(Duration::from_secs(30)),
             Self::Json => Some(Duration::from_secs(1)),
-            Self::Bar | Self::Nothing => None,
+            _ => None,
         }
     }
 }
@@ -93,9 +83,9 @@ impl TerminalProgress {
     /// * `caught` – signals since the start of the program.
     /// * `form` – form of the message on stdout if a signal ends the program.
     pub(super) fn start(caught: CaughtSignals, kind: ProgressKind, verbosity: Verbosity, form: Form) -> Self {
-        let shown = Shown::new(kind, verbosity);
+        let shown = kind.shown(verbosity);
         let bar = ProgressBar::with_draw_target(None, ProgressDrawTarget::hidden());
-        if shown == Shown::Bar {
+        if shown == ProgressKind::Bar {
             bar.set_draw_target(ProgressDrawTarget::stderr());
         }
         let voice = Voice { bar, shown };
@@ -124,7 +114,7 @@ impl TerminalProgress {
     pub(super) fn error(&self, text: &str) {
         self.voice.bar.finish_and_clear();
         match self.voice.shown {
-            Shown::Json => self.voice.say("error", text),
+            ProgressKind::Json => self.voice.say("error", text),
             _ => self.voice.line(&format!("tractrix: error: {text}")),
         }
     }
@@ -167,7 +157,7 @@ fn start_logging(voice: Voice, verbosity: Verbosity) {
         Verbosity::Verbose => "tractrix=debug,warn",
     };
     let filter = EnvFilter::try_from_env("TRACTRIX_LOG").unwrap_or_else(|_| EnvFilter::new(level));
-    let with_colours = io::stderr().is_terminal() && voice.shown != Shown::Json;
+    let with_colours = io::stderr().is_terminal() && voice.shown != ProgressKind::Json;
     let subscriber = tracing_subscriber::fmt().with_env_filter(filter).with_writer(voice).with_target(false);
     // Only a second start in one process fails, and then the first one's settings hold.
     // What cannot be written must not be reported either: that panics where stderr is gone.
@@ -232,7 +222,8 @@ impl Progress for TerminalProgress {
 #[derive(Clone)]
 struct Voice {
     bar: ProgressBar,
-    shown: Shown,
+    /// Not `Auto`.
+    shown: ProgressKind,
 }
 
 impl Voice {
@@ -245,7 +236,7 @@ impl Voice {
     /// Says a text as a line, or as a JSON object under a key.
     fn say(&self, key: &str, text: &str) {
         match self.shown {
-            Shown::Json => self.line(&json!({ key: text }).to_string()),
+            ProgressKind::Json => self.line(&json!({ key: text }).to_string()),
             _ => self.line(text),
         }
     }
@@ -255,19 +246,19 @@ impl Voice {
         let Some(moment) = moment else { return };
         let is_over = !matches!(moment.event, Event::Begins | Event::GoesOn);
         match self.shown {
-            Shown::Nothing => {}
-            Shown::Json => self.line(&moment.json().to_string()),
+            ProgressKind::None => {}
+            ProgressKind::Json => self.line(&moment.json().to_string()),
             // Reading the input is no stage, and over in a moment but for very long files.
             _ if moment.index.is_none() && moment.event != Event::GoesOn => {}
-            Shown::Bar if is_over => self.line(&moment.line()),
-            Shown::Bar => {}
-            Shown::Plain => self.line(&moment.line()),
+            ProgressKind::Bar if is_over => self.line(&moment.line()),
+            ProgressKind::Bar => {}
+            _ => self.line(&moment.line()),
         }
     }
 
     /// Has the bar show a stage from its beginning.
     fn show(&self, moment: Option<&Moment>, course: &Arc<Mutex<StageProgress>>) {
-        let Some(moment) = moment.filter(|_| self.shown == Shown::Bar) else { return };
+        let Some(moment) = moment.filter(|_| self.shown == ProgressKind::Bar) else { return };
         let template = match moment.total {
             Some(_) => "{prefix} {bar:30} {pos}/{len}, {left}",
             None => "{prefix} {spinner} {left}",
@@ -302,7 +293,7 @@ impl<'a> MakeWriter<'a> for Voice {
 impl Write for Voice {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         match self.shown {
-            Shown::Json => self.say("message", String::from_utf8_lossy(bytes).trim()),
+            ProgressKind::Json => self.say("message", String::from_utf8_lossy(bytes).trim()),
             _ => {
                 let _ = self.bar.suspend(|| io::stderr().write_all(bytes));
             }
