@@ -198,49 +198,40 @@ fn hash(path: &Path) -> std::io::Result<String> {
 
 /// The models that were named, and what to do without.
 fn models(args: &Args) -> [Finding; 3] {
+    let segmentation = |path: &Path| load_segmenter(path, &SegmentationOptions::default(), args.resources()).map(drop);
+    let ground = |path: &Path| load_ground_segmenter(path, &GroundOptions::default(), args.resources()).map(drop);
+    let flow = |path: &Path| load_flow(Some(path), args.resources()).map(drop);
+    let no_segmentation = Finding::good(
+        "segmentation model",
+        "none given: the bundled networks are used; --segmentation-model FILE selects another one, --masks DIR gives \
+         masks (docs/perception.md)",
+    );
+    let no_ground = Finding::not_given(
+        "ground model",
+        "none given: the dominant plane below the camera is used",
+        "for uneven roads give --ground-model FILE, or run with --ground-masks DIR: one 8-bit PNG per frame, 0 = no \
+         ground",
+    );
+    let no_flow = Finding::good("flow model", "none given: OpenCV's DIS is used");
     [
-        match &args.segmentation_model {
-            Some(path) => model(
-                args,
-                SEGMENTATION,
-                path,
-                load_segmenter(path, &SegmentationOptions::default(), args.resources()).map(drop),
-            ),
-            None => Finding::good(
-                SEGMENTATION,
-                "none given: the bundled networks are used; --segmentation-model FILE selects another one, --masks DIR \
-                 gives masks (docs/perception.md)",
-            ),
-        },
-        match &args.ground_model {
-            Some(path) => model(
-                args,
-                GROUND,
-                path,
-                load_ground_segmenter(path, &GroundOptions::default(), args.resources()).map(drop),
-            ),
-            None => Finding::not_given(
-                GROUND,
-                "none given: the dominant plane below the camera is used",
-                "for uneven roads give --ground-model FILE, or run with --ground-masks DIR: one 8-bit PNG per frame, 0 \
-                 = no ground",
-            ),
-        },
-        match &args.flow_model {
-            Some(path) => model(args, FLOW, path, load_flow(Some(path), args.resources()).map(drop)),
-            None => Finding::good(FLOW, "none given: OpenCV's DIS is used"),
-        },
+        model(args, args.segmentation_model.as_deref(), segmentation, no_segmentation),
+        model(args, args.ground_model.as_deref(), ground, no_ground),
+        model(args, args.flow_model.as_deref(), flow, no_flow),
     ]
 }
 
 const OWN: &str = "bundled network";
-const SEGMENTATION: &str = "segmentation model";
-const GROUND: &str = "ground model";
-const FLOW: &str = "flow model";
 
-/// A model that was named.
-fn model(args: &Args, name: &'static str, path: &Path, loaded: Result<(), PerceptionError>) -> Finding {
-    match loaded {
+/// A model that was named; `absent` where none was.
+fn model(
+    args: &Args,
+    path: Option<&Path>,
+    load: impl FnOnce(&Path) -> Result<(), PerceptionError>,
+    absent: Finding,
+) -> Finding {
+    let Some(path) = path else { return absent };
+    let name = absent.name;
+    match load(path) {
         Ok(()) => Finding::good(name, format!("{}: recognised", path.display())),
         Err(_) if !path.exists() => {
             Finding::bad(name, State::Missing, format!("{}: not found", path.display()), "check the path")
