@@ -22,16 +22,13 @@ pub(super) fn run(args: &Args, form: Form) -> Result<(), Failure> {
     let evaluation = pipeline::evaluate(&args.output, &args.truth)?;
     show(form, &evaluation, || evaluation.to_string())?;
     let output = args.output.display();
-    match pipeline::keep_evaluation(&args.output, &args.truth, &evaluation)? {
-        SavedEvaluation::Everywhere => {}
-        SavedEvaluation::WithoutPage(reason) => {
-            let text = format!("{output}/report.html: evaluation not added: {reason}");
-            tracing::warn!("{}", Topic::EvaluationNotKept.warning(text));
-        }
+    let problem = match pipeline::keep_evaluation(&args.output, &args.truth, &evaluation)? {
+        SavedEvaluation::Everywhere => return Ok(()),
+        SavedEvaluation::WithoutPage(reason) => format!("{output}/report.html: evaluation not added: {reason}"),
         SavedEvaluation::Nowhere => {
-            let text = format!("{output}: not made by tractrix run; evaluation.json not written, --json prints it");
-            tracing::warn!("{}", Topic::EvaluationNotKept.warning(text));
+            format!("{output}: not made by tractrix run; evaluation.json not written, --json prints it")
         }
-    }
+    };
+    tracing::warn!("{}", Topic::EvaluationNotKept.warning(problem));
     Ok(())
 }
