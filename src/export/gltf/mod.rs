@@ -12,7 +12,6 @@ mod scene;
 mod vehicle;
 
 use std::collections::BTreeMap;
-use std::io::Write as _;
 use std::path::Path;
 
 use serde_json::{Value, json};
