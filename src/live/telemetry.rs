@@ -192,7 +192,7 @@ mod tests {
         assert_eq!(log.fixes.last().unwrap().video_s, Some(59_999.0));
         assert_eq!(log.fixes[0].video_s, Some(0.0));
         assert!(log.fixes.len() < 30_000 && log.num_passed_over == 0, "{} {:?}", log.fixes.len(), log.passed_over);
-        let state = feed.lock();
+        let state = lock(&feed.state);
         assert!(state.tail_bytes <= TAIL_BYTES && state.head_bytes <= HEAD_BYTES);
     }
 }
