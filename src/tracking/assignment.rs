@@ -3,9 +3,6 @@
 use pathfinding::kuhn_munkres::kuhn_munkres;
 use pathfinding::matrix::Matrix;
 
-/// Scores are turned into integers of this resolution, as the algorithm wants exact arithmetic.
-const RESOLUTION: f64 = 1e6;
-
 /// Assigns rows to columns so that the sum of scores is greatest; pairs with `None` never meet.
 ///
 /// Returns pairs (row, column), ascending by row. Rows and columns may be left over.
@@ -21,8 +18,9 @@ pub(super) fn assign(
     let flip = num_rows > num_columns;
     let (rows, columns) = if flip { (num_columns, num_rows) } else { (num_rows, num_columns) };
     let at = |r: usize, c: usize| if flip { score(c, r) } else { score(r, c) };
+    // Integers of a millionth, as the algorithm wants exact arithmetic.
     let weights: Vec<i64> = (0..rows * columns)
-        .map(|i| at(i / columns, i % columns).map_or(0, |s| (s.clamp(0.0, 1e6) * RESOLUTION) as i64 + 1))
+        .map(|i| at(i / columns, i % columns).map_or(0, |s| (s.clamp(0.0, 1e6) * 1e6) as i64 + 1))
         .collect();
     let Ok(matrix) = Matrix::from_vec(rows, columns, weights) else { return Vec::new() };
     let (_, chosen) = kuhn_munkres(&matrix);

@@ -48,6 +48,8 @@ pub(super) struct Meeting {
     pub(super) own_masks: Vec<Vec<Fresh>>,
     /// Per track the sight that shows it.
     sight_of: Vec<Option<usize>>,
+    /// Quality of the outlines of new masks.
+    outline: Outline,
 }
 
 impl Meeting {
@@ -91,16 +93,16 @@ impl Tracker {
         };
         meeting.sights = box_groups::join(waiting, meeting.sights);
         meeting.is_at_rest = self.at_rest(view, &meeting);
-        let outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
+        meeting.outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
         self.segment(view, prompter, &mut meeting)?;
         self.waiting.clear();
         self.associate_boxes(&mut meeting);
         self.count_passed_over(&meeting);
-        let mut seen = self.choose(view, &meeting, outline);
-        self.look_for(view, &meeting, outline, &mut seen);
-        seen.extend(self.find_again(view, &mut meeting, outline, &seen));
+        let mut seen = self.choose(view, &meeting);
+        self.look_for(view, &meeting, &mut seen);
+        seen.extend(self.find_again(view, &mut meeting, &seen));
         self.lose_others(view, &meeting, &seen);
-        seen.extend(self.start_boxes(view, &meeting, outline, &seen));
+        seen.extend(self.start_boxes(view, &meeting, &seen));
         Ok(seen)
     }
 
@@ -141,6 +143,7 @@ impl Tracker {
             masks: vec![None; num_sights],
             own_masks: vec![Vec::new(); num_tracks],
             sight_of: vec![None; num_tracks],
+            outline: Outline::default(),
         }
     }
 
@@ -214,7 +217,7 @@ impl Tracker {
 
     /// Gives every track in sight the mask that fits it best. No two tracks get the same: the one for which more
     /// speaks comes first, the other takes what is left, or is lost.
-    fn choose(&mut self, view: &FrameView, meeting: &Meeting, outline: Outline) -> Vec<TrackObservation> {
+    fn choose(&mut self, view: &FrameView, meeting: &Meeting) -> Vec<TrackObservation> {
         let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
         let rank = |t: usize| (meeting.sight_of[t].is_some(), self.tracks[t].rank());
         order.sort_by(|&a, &b| rank(b).cmp(&rank(a)).then(a.cmp(&b)));
@@ -230,7 +233,7 @@ impl Tracker {
                 continue;
             };
             let region = region_of(&choice);
-            if let Some(evidence) = self.take(track_idx, choice.fresh, meeting, view, outline) {
+            if let Some(evidence) = self.take(track_idx, choice.fresh, meeting, view) {
                 seen.push(TrackObservation { track_idx, evidence, region });
             }
         }
@@ -244,7 +247,6 @@ impl Tracker {
         fresh: Option<Fresh>,
         meeting: &Meeting,
         view: &FrameView,
-        outline: Outline,
     ) -> Option<Evidence> {
         let Some(fresh) = fresh else {
             let is_worn_out = self.tracks[track_idx].is_worn_out();
@@ -256,20 +258,20 @@ impl Tracker {
             self.retraced.extend(retraced.into_iter().map(|(frame, region)| (frame, track.provisional, region)));
         }
         track.note_look(sight, true, view.now);
-        track.renew(&fresh, outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
+        track.renew(&fresh, meeting.outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
         track.anchor(sight);
         Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))
     }
 
     /// Continues tracks whose flow failed just now by the masks where they should be.
-    fn look_for(&mut self, view: &FrameView, meeting: &Meeting, outline: Outline, seen: &mut Vec<TrackObservation>) {
+    fn look_for(&mut self, view: &FrameView, meeting: &Meeting, seen: &mut Vec<TrackObservation>) {
         for track_idx in (0..self.tracks.len()).filter(|t| !meeting.is_carried[*t]) {
             let Some(place) = &meeting.predictions[track_idx].moved else { continue };
             let is_shown = |fresh: &&Fresh| self.tracks[track_idx].is_shown_by(fresh, place);
             let shown = meeting.own_masks[track_idx].iter().find(is_shown);
             let Some(fresh) = shown.filter(|fresh| !is_explained(&fresh.region, seen)).cloned() else { continue };
             self.lose(track_idx, meeting, view.now);
-            seen.extend(self.take_again(track_idx, fresh, meeting, view, outline));
+            seen.extend(self.take_again(track_idx, fresh, meeting, view));
         }
     }
 
@@ -280,11 +282,10 @@ impl Tracker {
         fresh: Fresh,
         meeting: &Meeting,
         view: &FrameView,
-        outline: Outline,
     ) -> Option<TrackObservation> {
         self.tracks[track_idx].note_gap(&fresh, view.now);
         let region = fresh.region.clone();
-        let evidence = self.take(track_idx, Some(fresh), meeting, view, outline)?;
+        let evidence = self.take(track_idx, Some(fresh), meeting, view)?;
         Some(TrackObservation { track_idx, evidence, region })
     }
 
@@ -294,7 +295,6 @@ impl Tracker {
         &mut self,
         view: &FrameView,
         meeting: &mut Meeting,
-        outline: Outline,
         seen: &[TrackObservation],
     ) -> Vec<TrackObservation> {
         let may_return = |t: &usize| {
@@ -318,7 +318,7 @@ impl Tracker {
                 continue;
             }
             meeting.sight_of[track_idx] = Some(sight_idx);
-            again.extend(self.take_again(track_idx, fresh, meeting, view, outline));
+            again.extend(self.take_again(track_idx, fresh, meeting, view));
         }
         again
     }
@@ -332,13 +332,7 @@ impl Tracker {
     }
 
     /// Starts tracks from boxes that are sure enough and show nothing that is followed, by the surest first.
-    fn start_boxes(
-        &mut self,
-        view: &FrameView,
-        meeting: &Meeting,
-        outline: Outline,
-        seen: &[TrackObservation],
-    ) -> Vec<TrackObservation> {
+    fn start_boxes(&mut self, view: &FrameView, meeting: &Meeting, seen: &[TrackObservation]) -> Vec<TrackObservation> {
         let mut left = meeting.left();
         left.sort_by(|&a, &b| {
             meeting.sights[b].confidence().total_cmp(&meeting.sights[a].confidence()).then(a.cmp(&b))
@@ -350,7 +344,7 @@ impl Tracker {
                 continue;
             }
             self.num_started += 1;
-            let track = Track::start_from_box(ObjectId(self.num_started), sight, fresh, outline, view.now);
+            let track = Track::start_from_box(ObjectId(self.num_started), sight, fresh, meeting.outline, view.now);
             self.add(track, fresh.appearance.as_ref(), view.now);
             let (track_idx, region) = (self.tracks.len() - 1, fresh.region.clone());
             started.push(TrackObservation { track_idx, evidence: detected(sight), region });
