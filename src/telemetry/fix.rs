@@ -57,14 +57,12 @@ impl Fix {
     /// Takes the deviations of a kind of receiver, widened by its dilution of precision where that is stated.
     pub(super) fn received_by(mut self, receiver: Receiver, dilution: Option<f64>) -> Self {
         let (horizontal, vertical) = receiver.std_m();
-        let factor = dilution.map_or(1.0, |dilution| dilution.clamp(1.0, MAX_DILUTION));
+        // Above 50 there is hardly a fix at all.
+        let factor = dilution.map_or(1.0, |dilution| dilution.clamp(1.0, 50.0));
         (self.horizontal_std_m, self.vertical_std_m) = (horizontal * factor, vertical * factor);
         self
     }
 }
-
-/// Above this a dilution of precision says that there is hardly a fix at all.
-const MAX_DILUTION: f64 = 50.0;
 
 /// Longitude and latitude that were checked.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -223,9 +221,6 @@ impl Room {
 /// Ten hours of a drone that writes at 60 Hz.
 const MOST_FIXES: usize = 10 * 3600 * 60;
 
-/// So many reasons are kept: a broken file repeats itself.
-const MAX_REASONS: usize = 100;
-
 impl Log {
     /// Adds a fix, if there is room for it.
     pub(super) fn push(&mut self, dialect: &'static str, fix: Fix) {
@@ -258,7 +253,8 @@ impl Log {
     /// Notes what gave no fix.
     pub(super) fn pass_over(&mut self, line: usize, reason: impl Into<String>) {
         self.num_passed_over += 1;
-        if self.passed_over.len() < MAX_REASONS {
+        // A broken file repeats itself.
+        if self.passed_over.len() < 100 {
             self.passed_over.push(SkippedEntry { line, reason: reason.into() });
         }
     }

@@ -45,23 +45,16 @@ impl Kind {
             return Some(Self::Gpmf);
         }
         let text = decode(head);
-        if text.contains("<gpx") {
-            return Some(Self::Gpx);
-        }
-        if text.contains("<kml") {
-            return Some(Self::Kml);
-        }
-        if igc::is_igc(&text) {
-            return Some(Self::Igc);
-        }
-        if text.lines().take(20).any(ardupilot::is_message) {
-            return Some(Self::ArduPilot);
-        }
-        if text.lines().any(nmea::is_sentence) {
-            return Some(Self::Nmea);
-        }
-        if csv::is_table(&text) {
-            return Some(Self::Csv);
+        let kinds = [
+            (Self::Gpx, text.contains("<gpx")),
+            (Self::Kml, text.contains("<kml")),
+            (Self::Igc, igc::is_igc(&text)),
+            (Self::ArduPilot, text.lines().take(20).any(ardupilot::is_message)),
+            (Self::Nmea, text.lines().any(nmea::is_sentence)),
+            (Self::Csv, csv::is_table(&text)),
+        ];
+        if let Some((kind, _)) = kinds.into_iter().find(|(_, is_kind)| *is_kind) {
+            return Some(kind);
         }
         let mut is_dji = false;
         srt::blocks(&text, |block| {

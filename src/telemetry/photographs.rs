@@ -88,8 +88,7 @@ fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
 /// Reason for no position in the EXIF data: some programs and drones write it as XMP alone.
 fn missing(bytes: &[u8]) -> String {
     // XMP is in the first segments.
-    const HEAD: usize = 1 << 18;
-    let mut names = bytes[..bytes.len().min(HEAD)].windows(b"GPSLatitude".len());
+    let mut names = bytes[..bytes.len().min(1 << 18)].windows(b"GPSLatitude".len());
     let is_in_xmp = names.any(|name| name.eq_ignore_ascii_case(b"GPSLatitude"));
     let xmp = ", but one in XMP; copy it into the EXIF data (exiftool's xmp2gps.args)";
     format!("no GPS position{}", if is_in_xmp { xmp } else { "" })

@@ -13,15 +13,12 @@ pub(super) struct Entry<'a> {
     pub(super) data: &'a [u8],
 }
 
-/// Bytes of key, type, size and count.
-const HEAD: usize = 8;
-
 /// Entries of a stretch of bytes, up to its end, padding, or the first entry that is cut off. Every step goes forward
 /// by at least the head of an entry.
 pub(super) fn entries(bytes: &[u8]) -> impl Iterator<Item = Entry<'_>> {
     let mut rest = bytes;
     std::iter::from_fn(move || {
-        let (head, after) = rest.split_first_chunk::<HEAD>()?;
+        let (head, after) = rest.split_first_chunk::<8>()?;
         let &[a, b, c, d, kind, size, high, low] = head;
         let (key, size) = ([a, b, c, d], usize::from(size));
         if key == [0; 4] {

@@ -28,8 +28,6 @@ pub struct Lens {
 
 /// Reads the container's settings; `None` if they say nothing of camera and lens.
 pub(super) fn read(settings: &[u8]) -> Option<Lens> {
-    /// Cameras write seven.
-    const MOST_COEFFICIENTS: usize = 16;
     let mut lens = Lens::default();
     for entry in devices(settings).flat_map(|device| device.nested()) {
         match &entry.key {
@@ -38,7 +36,8 @@ pub(super) fn read(settings: &[u8]) -> Option<Lens> {
             b"ZFOV" => lens.diagonal_deg = positive(&entry),
             b"EISE" => lens.is_stabilized = name(&entry).map(|letter| letter == "Y"),
             b"SROT" => lens.readout_s = positive(&entry).map(|milliseconds| milliseconds * 1e-3),
-            b"POLY" => lens.polynomial = entry.numbers(MOST_COEFFICIENTS),
+            // Cameras write seven.
+            b"POLY" => lens.polynomial = entry.numbers(16),
             b"ZMPL" => lens.radius_factor = positive(&entry),
             b"VRES" => lens.size = entry.numbers(2).try_into().ok(),
             _ => {}

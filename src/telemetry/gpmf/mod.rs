@@ -150,12 +150,11 @@ impl Reading {
     }
 
     fn stream<'a>(&mut self, number: usize, stream: &Entry<'a>, span: Span, attitudes: &mut Attitudes<'a>) {
-        /// `GPS9` has nine numbers; no stream that is read has more.
-        const MOST_NUMBERS: usize = 9;
         let mut known = Properties::default();
         for entry in stream.nested() {
             match &entry.key {
-                b"SCAL" => known.scales = entry.numbers(MOST_NUMBERS),
+                // `GPS9` has nine numbers; no stream that is read has more.
+                b"SCAL" => known.scales = entry.numbers(9),
                 b"TYPE" => known.types = entry.data,
                 b"GPSF" => known.lock = entry.number(),
                 b"GPSP" => known.dilution = entry.number().map(|dilution| dilution / 100.0),
