@@ -1,6 +1,6 @@
 //! Conversions between the `image` crate's buffers and OpenCV's matrices.
 
-use ::image::{GrayImage, RgbImage};
+use ::image::{GrayImage, ImageBuffer, Pixel, RgbImage};
 use nalgebra::SMatrix;
 use opencv::boxed_ref::BoxedRef;
 use opencv::core::{CV_8UC1, CV_8UC3, Mat, MatTraitConst, MatTraitConstManual, Vec3b};
@@ -40,9 +40,7 @@ pub(super) fn mat_from_matrix<const R: usize, const C: usize>(map: &SMatrix<f64,
 /// # Errors
 /// [`ImageError::PixelType`] for any other kind of matrix.
 pub fn gray_from_mat(mat: &impl MatTraitConst) -> Result<GrayImage, ImageError> {
-    let (width, height, bytes) = bytes_of(mat, CV_8UC1)?;
-    let found = bytes.len();
-    GrayImage::from_raw(width, height, bytes).ok_or(ImageError::BufferSize { width, height, channels: 1, found })
+    image_from_mat(mat, CV_8UC1)
 }
 
 /// A colour image from a three-channel 8-bit matrix in the order red, green, blue.
@@ -50,20 +48,22 @@ pub fn gray_from_mat(mat: &impl MatTraitConst) -> Result<GrayImage, ImageError> 
 /// # Errors
 /// [`ImageError::PixelType`] for any other kind of matrix.
 pub fn rgb_from_mat(mat: &impl MatTraitConst) -> Result<RgbImage, ImageError> {
-    let (width, height, bytes) = bytes_of(mat, CV_8UC3)?;
-    let found = bytes.len();
-    RgbImage::from_raw(width, height, bytes).ok_or(ImageError::BufferSize { width, height, channels: 3, found })
+    image_from_mat(mat, CV_8UC3)
 }
 
-/// Width, height and the row-major bytes of a matrix, which may be a view into a larger one.
-fn bytes_of(mat: &impl MatTraitConst, expected: i32) -> Result<(u32, u32, Vec<u8>), ImageError> {
+/// An image from a matrix of the type that is expected, which may be a view into a larger one.
+fn image_from_mat<P: Pixel<Subpixel = u8>>(
+    mat: &impl MatTraitConst,
+    expected: i32,
+) -> Result<ImageBuffer<P, Vec<u8>>, ImageError> {
     let found = mat.typ();
     if found != expected {
         return Err(ImageError::PixelType { expected, found });
     }
     let (width, height) = (u32::try_from(mat.cols())?, u32::try_from(mat.rows())?);
     let bytes = if mat.is_continuous() { mat.data_bytes()?.to_vec() } else { mat.try_clone()?.data_bytes()?.to_vec() };
-    Ok((width, height, bytes))
+    let (channels, found) = (u32::from(P::CHANNEL_COUNT), bytes.len());
+    ImageBuffer::from_raw(width, height, bytes).ok_or(ImageError::BufferSize { width, height, channels, found })
 }
 
 #[cfg(test)]

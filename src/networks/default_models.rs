@@ -12,9 +12,6 @@ use super::PerceptionError;
 use super::description::{ModelDescription, known};
 use crate::ffi::environment;
 
-/// The environment variable that names the folder.
-const VARIABLE: &str = "TRACTRIX_MODELS";
-
 /// The networks that come with the program.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DefaultModels {
@@ -55,7 +52,7 @@ impl DefaultModels {
 /// [`PerceptionError::NoModels`] lists the folders and what each lacks. If TRACTRIX_MODELS names a folder, no other one
 /// is looked into: [`PerceptionError::NamedModels`].
 pub fn default_models() -> Result<DefaultModels, PerceptionError> {
-    match env::var_os(VARIABLE).filter(|value| !value.is_empty()).map(PathBuf::from) {
+    match env::var_os("TRACTRIX_MODELS").filter(|value| !value.is_empty()).map(PathBuf::from) {
         Some(named) => whole(&named).map_err(|reason| PerceptionError::NamedModels { reason }),
         None => first_whole(&folders(env::current_exe().ok().as_deref())),
     }

@@ -36,21 +36,15 @@ pub(super) fn refused(path: &Path, error: FfmpegError) -> VideoError {
 
 /// Reason why FFmpeg refuses a file.
 fn why_not(path: &Path) -> VideoError {
-    match files::open(path).ok().and_then(|mut file| mp4_index(&mut file)) {
-        Some(Mp4Index::Missing) => VideoError::NoIndex { path: path.to_owned() },
-        Some(Mp4Index::Whole) | None => VideoError::NotAVideo { path: path.to_owned() },
+    let path = path.to_owned();
+    match files::open(&path).ok().and_then(|mut file| lacks_index(&mut file)) {
+        Some(true) => VideoError::NoIndex { path },
+        Some(false) | None => VideoError::NotAVideo { path },
     }
 }
 
-/// Presence of the index of an MP4 or MOV file (ISO/IEC 14496-12: the `moov` box).
-#[derive(Debug, PartialEq, Eq)]
-enum Mp4Index {
-    Whole,
-    Missing,
-}
-
-/// Walks through the boxes of the file; `None` if it has none.
-fn mp4_index(file: &mut File) -> Option<Mp4Index> {
+/// True if an MP4 or MOV file lacks its index (ISO/IEC 14496-12: the `moov` box); `None` if it has no boxes.
+fn lacks_index(file: &mut File) -> Option<bool> {
     /// With one of these an MP4 or MOV file begins.
     const FIRST_BOXES: [&[u8; 4]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
     /// More than any file has on its outermost level, fragments of a day included.
@@ -64,11 +58,11 @@ fn mp4_index(file: &mut File) -> Option<Mp4Index> {
         }
         let next = head.size.map_or(Some(end), |size| at.checked_add(size.max(head.num_bytes)))?;
         if &head.kind == b"moov" && next <= end {
-            return Some(Mp4Index::Whole);
+            return Some(false);
         }
         at = next;
     }
-    (at > 0).then_some(Mp4Index::Missing)
+    (at > 0).then_some(true)
 }
 
 #[cfg(test)]

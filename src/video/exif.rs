@@ -91,17 +91,20 @@ fn stated_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
         Some(4) => 1.0,
         _ => 25.4,
     };
-    let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));
-    let original_px = recorded[0]?.max(recorded[1]?);
+    let original_px = recorded_px(exif).map(|[x, y]| x.max(y))?;
     Some(focal_mm * pixels_per_unit / unit_mm * longer_px / original_px)
 }
 
 /// Returns true if the image's proportions differ from those that the camera wrote, where they are stated.
 fn was_cut(exif: &Exif, width: u32, height: u32) -> bool {
     let aspect = |a: f64, b: f64| a.max(b) / a.min(b);
-    let recorded = [Tag::PixelXDimension, Tag::PixelYDimension].map(|tag| number(exif, tag));
-    let [Some(x), Some(y)] = recorded else { return false };
+    let Some([x, y]) = recorded_px(exif) else { return false };
     (aspect(x, y) / aspect(f64::from(width), f64::from(height)) - 1.0).abs() > SHAPE_TOLERANCE
+}
+
+/// Width and height that the camera wrote.
+fn recorded_px(exif: &Exif) -> Option<[f64; 2]> {
+    Some([number(exif, Tag::PixelXDimension)?, number(exif, Tag::PixelYDimension)?])
 }
 
 /// When a photograph was taken.

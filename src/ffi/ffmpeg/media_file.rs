@@ -405,16 +405,14 @@ fn text_coding(codec: sys::AVCodecID) -> Option<TextCoding> {
 /// The rotation that the stream's display matrix asks for.
 #[allow(unsafe_code)]
 fn rotation_deg(stream: *const sys::AVStream) -> i32 {
-    /// Bytes of nine 32-bit numbers.
-    const MATRIX_BYTES: usize = 36;
+    let mut matrix = [0_i32; 9];
     let (data, size) = display_matrix(stream);
-    if data.is_null() || size < MATRIX_BYTES {
+    if data.is_null() || size < size_of_val(&matrix) {
         return 0;
     }
-    let mut matrix = [0; MATRIX_BYTES / 4];
     // SAFETY: `data` points to `size` bytes, of which there are enough; both functions read the matrix alone.
     let counterclockwise_deg = unsafe {
-        ptr::copy_nonoverlapping(data, matrix.as_mut_ptr().cast::<u8>(), MATRIX_BYTES);
+        ptr::copy_nonoverlapping(data, matrix.as_mut_ptr().cast::<u8>(), size_of_val(&matrix));
         sys::av_display_rotation_get(matrix.as_ptr())
     };
     if counterclockwise_deg.is_finite() { (-counterclockwise_deg.round() as i32).rem_euclid(360) } else { 0 }

@@ -168,9 +168,8 @@ fn named_version(build_info: &str) -> Option<String> {
 /// The version that the library's symbols carry, `VERS_1.31.1`; it stands near the beginning of the file.
 fn symbol_version(library: &Path) -> Option<String> {
     const MARK: &[u8] = b"VERS_";
-    const HEAD_BYTES: u64 = 4 << 20;
     let mut head = Vec::new();
-    File::open(library).ok()?.take(HEAD_BYTES).read_to_end(&mut head).ok()?;
+    File::open(library).ok()?.take(4 << 20).read_to_end(&mut head).ok()?;
     let versions = head.windows(MARK.len()).enumerate().filter(|(_, window)| *window == MARK);
     let after = |at: usize| String::from_utf8_lossy(&head[at..head.len().min(at + 32)]).into_owned();
     versions.map(|(at, _)| after(at + MARK.len())).find_map(|text| leading_version(&text))

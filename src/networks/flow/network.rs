@@ -13,8 +13,6 @@ use crate::networks::description::{Preprocessing, description_of};
 use crate::networks::tensor::{input_size, size_in_steps, tensor_from_image};
 use crate::scene::{Flow, Rect};
 
-/// RAFT works at an eighth of the input, so open sides are multiples of this.
-const STRIDE: u32 = 8;
 /// RAFT's correlation pyramid has four levels, so sides below this leave nothing at its top.
 const MIN_SIDE: u32 = 128;
 
@@ -77,7 +75,8 @@ impl FlowEstimator for OnnxFlow {
         if boxes.is_empty() || from.is_empty() {
             return Ok(nothing((width, height)));
         }
-        let open = size_in_steps((width, height), MAX_DIMENSION, STRIDE);
+        // RAFT works at an eighth of the input.
+        let open = size_in_steps((width, height), MAX_DIMENSION, 8);
         let (w, h) = input_size(&self.model, (open.0.max(MIN_SIDE), open.1.max(MIN_SIDE)));
         let from = tensor_from_image(&resize_rgb(from, w, h)?, &self.preprocessing);
         let to = tensor_from_image(&resize_rgb(to, w, h)?, &self.preprocessing);

@@ -25,20 +25,20 @@ use crate::scene::{Detection, Mask};
 /// A pasted mask ends within this share of its box's sides next to the box (one cell of 28), and one pixel.
 const PASTED_MARGIN: f32 = 1.0 / 28.0;
 
-/// Returns true if a network's inputs and outputs are those of the family.
-pub(super) fn recognise(model: &Model) -> bool {
-    let [input] = model.inputs() else { return false };
+/// Which output is what, if a network's inputs and outputs are those of the family.
+pub(super) fn recognise(model: &Model) -> Option<OutputIndices> {
+    let [input] = model.inputs() else { return None };
     let is_image = match input.shape[..] {
         [channels, _, _] => channels == Some(3),
         [batch, channels, _, _] => batch.is_none_or(|b| b == 1) && channels == Some(3),
         _ => false,
     };
-    is_image && OutputIndices::find(model.outputs()).is_some()
+    OutputIndices::find(model.outputs()).filter(|_| is_image)
 }
 
 /// Which output is what.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct OutputIndices {
+pub(super) struct OutputIndices {
     boxes: usize,
     labels: usize,
     scores: usize,
@@ -73,10 +73,11 @@ pub(super) struct MaskRcnn {
 
 impl MaskRcnn {
     /// Takes a network that [`recognise`] accepted.
-    pub(super) fn new(model: Model, options: &SegmentationOptions) -> Result<Self, PerceptionError> {
-        let Some(places) = OutputIndices::find(model.outputs()) else {
-            return Err(PerceptionError::output(&model, None, "boxes, labels, scores and masks"));
-        };
+    pub(super) fn new(
+        model: Model,
+        places: OutputIndices,
+        options: &SegmentationOptions,
+    ) -> Result<Self, PerceptionError> {
         let classes = Classes::new(&model, class_names_after_background(&model)?, &options.classes)?;
         if classes.wanted.first() == Some(&true) {
             return Err(PerceptionError::Description {

@@ -158,8 +158,8 @@ pub fn load_segmenter(
     if yolo::recognise(&model) {
         return Ok(Box::new(YoloSeg::new(model, options)?));
     }
-    if mask_rcnn::recognise(&model) {
-        return Ok(Box::new(MaskRcnn::new(model, options)?));
+    if let Some(places) = mask_rcnn::recognise(&model) {
+        return Ok(Box::new(MaskRcnn::new(model, places, options)?));
     }
     Err(PerceptionError::unknown_layout(
         &model,

@@ -37,10 +37,8 @@ pub fn write_frames_text(out: &mut dyn Write, model: &Reconstruction) -> std::io
 pub fn write_rigs_binary(out: &mut dyn Write, model: &Reconstruction) -> std::io::Result<()> {
     out.write_all(&(model.cameras.len() as u64).to_le_bytes())?;
     for id in model.cameras.keys() {
-        out.write_all(&id.0.to_le_bytes())?;
-        out.write_all(&1u32.to_le_bytes())?;
-        out.write_all(&CAMERA.0.to_le_bytes())?;
-        out.write_all(&id.0.to_le_bytes())?;
+        let id = id.0.to_le_bytes();
+        out.write_all([id, 1u32.to_le_bytes(), CAMERA.0.to_le_bytes(), id].as_flattened())?;
     }
     Ok(())
 }
@@ -49,12 +47,10 @@ pub fn write_frames_binary(out: &mut dyn Write, model: &Reconstruction) -> std::
     out.write_all(&(model.images.len() as u64).to_le_bytes())?;
     for (id, image) in &model.images {
         let (q, t) = (image.cam_from_world.rotation, image.cam_from_world.translation);
-        out.write_all(&id.0.to_le_bytes())?;
-        out.write_all(&image.camera.0.to_le_bytes())?;
+        let camera = image.camera.0.to_le_bytes();
+        out.write_all([id.0.to_le_bytes(), camera].as_flattened())?;
         super::binary::write_doubles(out, &[q.w, q.i, q.j, q.k, t.x, t.y, t.z])?;
-        out.write_all(&1u32.to_le_bytes())?;
-        out.write_all(&CAMERA.0.to_le_bytes())?;
-        out.write_all(&image.camera.0.to_le_bytes())?;
+        out.write_all([1u32.to_le_bytes(), CAMERA.0.to_le_bytes(), camera].as_flattened())?;
         out.write_all(&u64::from(id.0).to_le_bytes())?;
     }
     Ok(())
