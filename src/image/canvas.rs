@@ -83,7 +83,7 @@ impl Canvas {
     /// * `capital_px` – height of a capital letter.
     pub fn plate(&self, text: &str, lower_left: Point2<f64>, capital_px: f64) -> Result<Plate, ImageError> {
         let margin = MARGIN * capital_px;
-        let width = self.text_width(text, capital_px / CAPITAL_PX, thickness(capital_px))? + 2.0 * margin;
+        let width = self.text_width(text, capital_px)? + 2.0 * margin;
         let height = capital_px + 2.2 * margin;
         let left = lower_left.x.min(self.width - width).max(0.0);
         let bottom = lower_left.y.min(self.height).max(height);
@@ -98,24 +98,18 @@ impl Canvas {
         let ink = if is_light(colour) { [20; 3] } else { [255; 3] };
         let margin = MARGIN * capital_px;
         let base = Point2::new(plate.left + margin, plate.top + plate.height - 1.1 * margin);
-        self.text(text, base, capital_px / CAPITAL_PX, thickness(capital_px), ink)
+        self.text(text, base, capital_px, ink)
     }
 
-    fn text_width(&self, text: &str, scale: f64, thickness: i32) -> Result<f64, ImageError> {
-        let mut base_line = 0;
+    fn text_width(&self, text: &str, capital_px: f64) -> Result<f64, ImageError> {
+        let (scale, thickness, mut base_line) = (capital_px / CAPITAL_PX, thickness(capital_px), 0);
         let shown = shown(text).replace(PLUS_MINUS, "+");
         let size = imgproc::get_text_size(&shown, FONT_HERSHEY_SIMPLEX, scale, thickness, &mut base_line)?;
         Ok(f64::from(size.width))
     }
 
-    fn text(
-        &mut self,
-        text: &str,
-        base: Point2<f64>,
-        scale: f64,
-        thickness: i32,
-        ink: [u8; 3],
-    ) -> Result<(), ImageError> {
+    fn text(&mut self, text: &str, base: Point2<f64>, capital_px: f64, ink: [u8; 3]) -> Result<(), ImageError> {
+        let (scale, thickness) = (capital_px / CAPITAL_PX, thickness(capital_px));
         let at = |x: f64, y: f64| Point::new(x.round() as i32, y.round() as i32);
         let shown = shown(text);
         let plain = shown.replace(PLUS_MINUS, "+");
@@ -123,8 +117,8 @@ impl Canvas {
         imgproc::put_text(&mut self.mat, &plain, at(base.x, base.y), font, scale, ink, thickness, LINE_AA, false)?;
         // The bar below each plus that is to be one or minus.
         for (index, _) in shown.match_indices(PLUS_MINUS) {
-            let before = self.text_width(&shown[..index], scale, thickness)?;
-            let sign = self.text_width("+", scale, thickness)?;
+            let before = self.text_width(&shown[..index], capital_px)?;
+            let sign = self.text_width("+", capital_px)?;
             let (left, right) = (base.x + before + 0.16 * sign, base.x + before + 0.78 * sign);
             let y = base.y + 0.08 * CAPITAL_PX * scale;
             imgproc::line(&mut self.mat, at(left, y), at(right, y), ink, thickness, LINE_AA, 0)?;

@@ -111,14 +111,11 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
             }
         }
     }
-    listing.warnings.extend(turned(&listing.entries));
-    if !listing.entries.is_empty() {
-        listing.warnings.extend(skipped);
-    }
     if listing.entries.is_empty() {
         let found = listing.warnings.into_iter().next().map_or_else(|| described(&others), |warning| warning.text);
         return Err(VideoError::NoImages { path: path.to_owned(), found });
     }
+    listing.warnings.extend(turned(&listing.entries).into_iter().chain(skipped));
     Ok(listing)
 }
 
@@ -336,16 +333,16 @@ fn described(others: &BTreeMap<String, usize>) -> String {
         return "empty, and so are its subfolders; give the folder that contains the images".to_owned();
     };
     let files = if *count == 1 { "file" } else { "files" };
-    let kind = if commonest.is_empty() { "without an extension".to_owned() } else { format!(".{commonest}") };
+    let files = match commonest.is_empty() {
+        true => format!("{files} without an extension"),
+        false => format!(".{commonest} {files}"),
+    };
     let cure = match commonest.as_str() {
         video if VIDEOS.contains(&video) => "give one video file",
         picture if UNREAD.contains(&picture) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
         _ => "give a folder of JPEG or PNG images, or a video",
     };
-    match commonest.is_empty() {
-        true => format!("{count} {files} {kind}; {cure}"),
-        false => format!("{count} {kind} {files}; {cure}"),
-    }
+    format!("{count} {files}; {cure}")
 }
 
 /// Stored size of an image, from its header, if it seems to be whole.

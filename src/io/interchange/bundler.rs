@@ -11,7 +11,7 @@
 //! p' has its origin in the middle of the picture. So y and z of the camera change their sign here, k₁ and k₂ are those
 //! of this program, and a pixel is (w/2 + x, h/2 − y). Neither names nor sizes of pictures are in the file. Names are
 //! read from `list.txt`, `NAME.list.txt` or the only other list next to it (`imagelist.lst`), one line per camera, and
-//! written to `list.txt`; without it they are six-digit numbers from 0 ([`has_names`]). Of absolute paths the file name
+//! written to `list.txt`; without it they are six-digit numbers from 0. Of absolute paths the file name
 //! is taken. Sizes are those of the pictures where these lie next to the file, else the smallest
 //! even ones that hold all features. A camera with f = 0 is not registered.
 //!
@@ -126,11 +126,6 @@ pub(super) fn lists(path: &Path) -> Vec<PathBuf> {
     };
     let others: Vec<PathBuf> = entries.filter(|file| is_list(file) && file.is_file()).collect();
     if others.len() == 1 { others } else { Vec::new() }
-}
-
-/// True if images have the names of a list, not invented ones.
-pub fn has_names(path: &Path) -> bool {
-    !lists(path).is_empty()
 }
 
 /// The files that are written: the model and the list of its pictures.

@@ -111,7 +111,7 @@ pub fn lost_on_reading(path: &Path, format: Format) -> Vec<String> {
             "image of a smaller reconstruction in the file is skipped",
             "images of smaller reconstructions in the file are skipped",
         ),
-        Format::Bundler if !bundler::has_names(&place) => {
+        Format::Bundler if bundler::lists(&place).is_empty() => {
             Losses::default().with("image names are invented: there is no list.txt next to the file".to_owned())
         }
         _ => Losses::default(),
