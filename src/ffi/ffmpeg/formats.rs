@@ -5,9 +5,10 @@
 //! it is known to read one file only. The price is a conversion for owners of rare formats, which the message names.
 
 /// Formats in which cameras, recorders and editors store video.
-const VIDEOS: &str = "apng asf asf_o av1 avi avs2 avs3 cavsvideo cine dhav dirac dnxhd dv evc film_cpk filmstrip flic flv gif gxf h261 \
-     h263 h264 hevc ifv ivf ivr kux live_flv lxf m4v matroska,webm mjpeg mjpeg_2000 mov,mp4,m4a,3gp,3g2,mj2 mpeg mpegts \
-     mpegtsraw mpegvideo mpjpeg mxf mxg nsv nut nuv obu ogg rm vc1 vvc wtv yuv4mpegpipe";
+const VIDEOS: &str = "\
+    apng asf asf_o av1 avi avs2 avs3 cavsvideo cine dhav dirac dnxhd dv evc film_cpk filmstrip flic flv gif gxf h261 \
+    h263 h264 hevc ifv ivf ivr kux live_flv lxf m4v matroska,webm mjpeg mjpeg_2000 mov,mp4,m4a,3gp,3g2,mj2 mpeg \
+    mpegts mpegtsraw mpegvideo mpjpeg mxf mxg nsv nut nuv obu ogg rm vc1 vvc wtv yuv4mpegpipe";
 /// Rare ones: TiVo, PlayStation Portable, TechnoTrend, Red, SER, VC-1 test streams, Flash, SMJPEG, LMLM4, Ingenient.
 const RARE_VIDEOS: &str = "ty pmp pva r3d ser vc1test swf smjpeg lmlm4 ingenient";
 /// Sound and subtitles: opened, so that the message can say what the file holds, and for receivers' logs in subtitles.

@@ -11,9 +11,9 @@
 //! p' has its origin in the middle of the picture. So y and z of the camera change their sign here, k₁ and k₂ are those
 //! of this program, and a pixel is (w/2 + x, h/2 − y). Neither names nor sizes of pictures are in the file. Names are
 //! read from `list.txt`, `NAME.list.txt` or the only other list next to it (`imagelist.lst`), one line per camera, and
-//! written to `list.txt`; without it they are six-digit numbers from 0. Of absolute paths the file name
-//! is taken. Sizes are those of the pictures where these lie next to the file, else the smallest
-//! even ones that hold all features. A camera with f = 0 is not registered.
+//! written to `list.txt`; without it they are six-digit numbers from 0. Of absolute paths the file name is taken. Sizes
+//! are those of the pictures where these lie next to the file, else the smallest even ones that hold all features. A
+//! camera with f = 0 is not registered.
 //!
 //! Written are pinholes with one focal length and k₁, k₂. Positions are relative to the principal point, as in the
 //! models that COLMAP writes, so that all adjusted values keep their meaning for who reads it as a principal point in
