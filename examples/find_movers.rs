@@ -114,7 +114,7 @@ fn print_mover(k: usize, mover: &Mover) {
     let mut sides: Vec<f64> = mover.boxes.values().map(|b| b.area_px2().sqrt()).collect();
     sides.sort_by(f64::total_cmp);
     println!(
-        "{k:>3} {:.2} {:?} frames {}-{} ({}), {} tracks, side {:.0} px, purity {:.2}, looseness {:.1} px, round {:?}",
+        "{k:>3} {:.2} {:?} frames {}-{} ({}), {} tracks, side {:.0} px, purity {:.2}, round {:?}",
         mover.confidence,
         mover.evidence,
         first.unwrap_or(&0),
@@ -123,7 +123,6 @@ fn print_mover(k: usize, mover: &Mover) {
         mover.tracks.len(),
         sides[sides.len() / 2],
         mover.purity,
-        mover.looseness_px,
         mover.boxes.values().nth(mover.life() / 2).map(|b| [b.x0 + b.x1, b.y0 + b.y1].map(|x| (x / 2.0) as u32))
     );
 }

@@ -20,8 +20,6 @@ pub struct Mover {
     pub evidence: Evidence,
     /// Confidence, 0 to 1: grows with its points, its lifetime and their strength.
     pub confidence: f64,
-    /// Residual of its points from a similarity motion, pixels within a second.
-    pub looseness_px: f64,
     /// Part of the points in the middle of its boxes that are its own, 0 to 1.
     pub purity: f64,
     /// Tracks of its points, ascending.
@@ -159,16 +157,14 @@ impl Maker<'_> {
         if purity < MIN_PURITY {
             return None;
         }
-        if self.is_fixed(&GroupTrajectory::new(self.tracks, group)) {
+        if self.is_fixed(&GroupTrajectory::new(self.tracks, group)) || !self.is_seen_together(group, &boxes) {
             return None;
         }
-        let looseness_px = self.looseness_px(group, &boxes)?;
         let strength = upper_median(moving.iter().map(|label| label.strength).collect())?;
         let off_line = moving.iter().filter(|l| l.verdict == Verdict::Moving(Evidence::OffItsLine)).count();
         Some(Mover {
             evidence: if 2 * off_line >= moving.len() { Evidence::OffItsLine } else { Evidence::BehindGround },
             confidence: purity * self.confidence(group, boxes.len(), strength),
-            looseness_px,
             purity,
             tracks: group.to_vec(),
             boxes,
@@ -225,20 +221,13 @@ impl Maker<'_> {
         (3.0 * self.scales.pixel).max(MIN_DEVIATION * side_px)
     }
 
-    /// Median residual of the group's points, within a second, from a similarity motion of the whole, pixels (eq. 11);
-    /// `None` if never four of them are visible for so long.
-    fn looseness_px(&self, group: &[usize], boxes: &BTreeMap<u32, Rect>) -> Option<f64> {
-        let (first, last) = (boxes.keys().next()?, boxes.keys().next_back()?);
-        let mut residuals = Vec::new();
-        for from in (*first..=*last).step_by((self.scales.second / 2).max(1) as usize) {
-            let to = from + self.scales.second.min(self.scales.life) - 1;
-            let both = group.iter().filter_map(|&k| Some((self.tracks[k].at(from)?, self.tracks[k].at(to)?)));
-            let both: Vec<_> = both.collect();
-            if both.len() >= MIN_POINTS {
-                residuals.extend(similarity_residuals(&both));
-            }
-        }
-        upper_median(residuals)
+    /// Returns true if enough points of the group are observed together for a whole second (11).
+    fn is_seen_together(&self, group: &[usize], boxes: &BTreeMap<u32, Rect>) -> bool {
+        let num_frames = self.scales.second.min(self.scales.life);
+        range_of(boxes).step_by((self.scales.second / 2).max(1) as usize).any(|from| {
+            let is_seen = |track: &PointTrack| track.at(from).is_some() && track.at(from + num_frames - 1).is_some();
+            group.iter().filter(|&&k| is_seen(&self.tracks[k])).count() >= MIN_POINTS
+        })
     }
 
     /// Grows with the number of points at a time, the life, and the strength of the evidence.
@@ -375,24 +364,6 @@ fn trimmed(mut rect: Rect, points: &[Inside]) -> Rect {
 fn upper_quartile(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     values.get(values.len() * 3 / 4).copied()
-}
-
-/// Distances that remain when a similarity of the plane takes each first point to its second, by least squares.
-fn similarity_residuals(pairs: &[([f64; 2], [f64; 2])]) -> Vec<f64> {
-    let n = pairs.len() as f64;
-    let add = |s: [f64; 2], p: [f64; 2]| [s[0] + p[0], s[1] + p[1]];
-    let a = pairs.iter().fold([0.0; 2], |sum, pair| add(sum, pair.0)).map(|x| x / n);
-    let b = pairs.iter().fold([0.0; 2], |sum, pair| add(sum, pair.1)).map(|x| x / n);
-    let centred = |(p, q): &([f64; 2], [f64; 2])| ([p[0] - a[0], p[1] - a[1]], [q[0] - b[0], q[1] - b[1]]);
-    let (mut along, mut across, mut square) = (0.0, 0.0, 0.0);
-    for (p, q) in pairs.iter().map(centred) {
-        along += p[0] * q[0] + p[1] * q[1];
-        across += p[0] * q[1] - p[1] * q[0];
-        square += p[0] * p[0] + p[1] * p[1];
-    }
-    let (c, s) = (along / square.max(1e-12), across / square.max(1e-12));
-    let rest = |(p, q): ([f64; 2], [f64; 2])| (q[0] - c * p[0] + s * p[1]).hypot(q[1] - s * p[0] - c * p[1]);
-    pairs.iter().map(centred).map(rest).collect()
 }
 
 /// Returns true if the smaller of two boxes lies in or at the larger one.
