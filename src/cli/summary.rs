@@ -151,7 +151,6 @@ mod tests {
             time_s: f64::from(frame) * 0.1,
             position: [f64::from(frame) * 0.05, 0.0, 0.0],
             world_from_object: Sim3::identity(),
-            speed: None,
             metric: None,
         }
     }

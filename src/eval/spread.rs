@@ -145,7 +145,6 @@ mod tests {
                 time_s: 0.0,
                 position: (camera(k).coords + ahead).into(),
                 world_from_object: Sim3::identity(),
-                speed: None,
                 metric: None,
             }
         };

@@ -136,7 +136,6 @@ fn pose_between(a: &ObjectPose, b: &ObjectPose, at: &Moment) -> ObjectPose {
         // The translation that takes the center to its position.
         world_from_object: Sim3::new(scale, rotation, Vector3::from(position) - rotation * center.coords * scale),
         position,
-        speed: at.optional(a.speed, b.speed),
         metric: a.metric.zip(b.metric).map(|(a, b)| metric_between(&a, &b, at)),
     }
 }

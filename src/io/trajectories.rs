@@ -59,8 +59,8 @@ pub fn write(path: &Path, trajectories: &Trajectories) -> Result<(), IoError> {
     atomic::write_json(path, &document)
 }
 
-/// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, null where the unit
-/// is that of the background, and a rejected trajectory is `not-to-be-trusted`. It has no ground tracks.
+/// Writes the trajectories of a run with the keys and words of version 2: every frame has `speed`, always null,
+/// and a rejected trajectory is `not-to-be-trusted`. It has no ground tracks.
 ///
 /// # Errors
 /// As [`write()`].
@@ -197,8 +197,8 @@ fn norm([w, x, y, z]: [f64; 4]) -> f64 {
 
 fn pose_problem(pose: &ObjectPose, ratio: f64) -> Option<String> {
     let Sim3 { scale, rotation, translation } = &pose.world_from_object;
-    let numbers = [&pose.time_s].into_iter().chain(&pose.position).chain(&rotation.coords).chain(translation);
-    if let Some(number) = numbers.chain(&pose.speed).find(|n| !n.is_finite()) {
+    let mut numbers = [&pose.time_s].into_iter().chain(&pose.position).chain(&rotation.coords).chain(translation);
+    if let Some(number) = numbers.find(|n| !n.is_finite()) {
         return Some(format!("{number} is not a finite number"));
     }
     if !has_finite_numbers(&pose.metric) {
@@ -236,7 +236,6 @@ mod tests {
                 UnitQuaternion::from_euler_angles(0.1, f64::from(frame), -0.4),
                 Vector3::new(4.0, 5.0, 6.0),
             ),
-            speed: (frame > 0).then_some(13.25),
             metric: None,
         };
         let scale = ScaleEstimate {
@@ -284,9 +283,8 @@ mod tests {
         assert_eq!(object["scale"]["method"], "constant-distance");
         assert!(object["scale"]["std"].is_null());
         let frame = &object["frames"][1];
-        assert_eq!(keys(frame), ["frame", "name", "time_s", "position", "world_from_object", "speed"]);
-        let without_speed = ["frame", "name", "time_s", "position", "world_from_object"];
-        assert_eq!(keys(&object["frames"][0]), without_speed, "no null where nothing is known");
+        let of_frame = ["frame", "name", "time_s", "position", "world_from_object"];
+        assert_eq!(keys(frame), of_frame, "no null where nothing is known");
         assert_eq!(keys(&frame["world_from_object"]), ["scale", "rotation_wxyz", "translation"]);
         let q: Vec<f64> = serde_json::from_value(frame["world_from_object"]["rotation_wxyz"].clone()).unwrap();
         assert!((q.iter().map(|c| c * c).sum::<f64>() - 1.0).abs() < 1e-12);
@@ -304,7 +302,6 @@ mod tests {
         let object = &value["objects"][0];
         assert_eq!(object["verdict"]["state"], "not-to-be-trusted");
         assert!(object["frames"][0].as_object().unwrap()["speed"].is_null());
-        assert_eq!(object["frames"][1]["speed"], 13.25);
         assert_eq!(read(&path).unwrap().objects[0].verdict, all.objects[0].verdict);
     }
 

@@ -188,9 +188,6 @@ pub struct ObjectPose {
     pub position: [f64; 3],
     /// From the frame of the object's model to that of the background.
     pub world_from_object: Sim3,
-    /// Metres per second, where the unit is metric.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub speed: Option<f64>,
     /// Position and motion in meters; `None` where they are unknown.
     #[serde(flatten)]
     pub metric: Option<MetricPose>,

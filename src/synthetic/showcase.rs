@@ -247,7 +247,6 @@ fn vehicle(result: &mut Showcase, id: ObjectId, size_m: [f64; 3], rng: &mut Rng)
             time_s: frame(f.0).time_s,
             position: position.coords.into(),
             world_from_object,
-            speed: None,
             metric: Some(metric_pose(id, *f, num_frames, wrong)),
         });
         result.ground.planes.insert((id, *f), local_plane(&result.background_from_metric, id, s, rng));

@@ -61,7 +61,6 @@ pub(super) fn poses(
             time_s: frame.time_s,
             position: (world_from_object * center).coords.into(),
             world_from_object,
-            speed: None,
             metric: None,
         })
     };
@@ -145,7 +144,6 @@ mod tests {
             assert!(pose.world_from_object.rotation.angle_to(&truth.rotation) < 1e-9);
             assert!((pose.world_from_object.translation - truth.translation).norm() < 1e-9);
             assert!((Point3::from(pose.position) - truth * object_center(&world.object)).norm() < 1e-9);
-            assert_eq!(pose.speed, None);
         }
     }
 

@@ -74,7 +74,6 @@ fn output_with(models: &Models, sequence: &Sequence, ratio: f64) -> tempfile::Te
         time_s: f64::from(frame.0) / sequence.fps,
         position: world_from_object.translation.into(),
         world_from_object: *world_from_object,
-        speed: None,
         metric: None,
     };
     let scale = ScaleEstimate {

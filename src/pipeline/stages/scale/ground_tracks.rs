@@ -233,15 +233,7 @@ mod tests {
                 };
                 track.positions.push(position);
                 let (position, world_from_object) = ([10.0 + off, 0.0, 0.0], Sim3::identity());
-                object.poses.push(ObjectPose {
-                    frame,
-                    name,
-                    time_s,
-                    position,
-                    world_from_object,
-                    speed: None,
-                    metric: None,
-                });
+                object.poses.push(ObjectPose { frame, name, time_s, position, world_from_object, metric: None });
             }
             by_ground_track(&object, &track, &centers, &level).unwrap().finding
         };
