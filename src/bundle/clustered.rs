@@ -1,8 +1,8 @@
 //! Covariance of camera centres where observations err together.
 //!
-//! With the scores s_g = Σ Jᵀ (r − Q z) of the reduced system over the points of each group g, the covariance is S⁻¹ (Σ
-//! s_g s_gᵀ) S⁻¹ (the sandwich of P. Huber, *The behavior of maximum likelihood estimates under nonstandard conditions*,
-//! 1967; eq. 18). Residuals count as they are, whatever the noise is believed to be.
+//! With the scores s_g = Σ Jᵀ (r − Q z) of the reduced system over the points of each group g, the covariance is
+//! S⁻¹ (Σ s_g s_gᵀ) S⁻¹ (the sandwich of P. Huber, *The behavior of maximum likelihood estimates under nonstandard
+//! conditions*, 1967; eq. 18). Residuals count as they are, whatever the noise is believed to be.
 
 use nalgebra::{Matrix3, Vector3};
 

@@ -111,7 +111,7 @@ fn form(args: &Args) -> Form {
     }
 }
 
-/// What a command gets besides its own flags.
+/// Context of a command.
 #[derive(Clone, Copy)]
 struct Call<'a> {
     /// The command line.

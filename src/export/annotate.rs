@@ -151,7 +151,7 @@ impl<'a> Annotator<'a> {
     ) -> Result<(), ExportError> {
         let Some(view) = self.views.get(frame.name.as_str()) else { return Ok(()) };
         let in_camera: Vec<_> = way.iter().map(|point| view.cam_from_world * *point).collect();
-        // Lines close to the camera's center, of which this is a share of the vehicle's distance, run through the picture.
+        // Share of the vehicle's distance: lines closer to the camera's center run through the picture.
         let nearest = 0.02 * in_camera[now].z.max(0.0);
         let colour = object_colour(id);
         for (index, ends) in in_camera.windows(2).enumerate().step_by(every) {

@@ -16,6 +16,9 @@ use crate::scene::{Estimate, FrameId, GroundPosition, GroundTrack, MapPlace, Met
 /// Name of a column, and its cell in the row of a vehicle.
 type Fact = (&'static str, fn(&Facts) -> String);
 
+/// Name of a column, and its number in a frame with metric values.
+type MetricColumn = (&'static str, fn(&MetricPose) -> Option<f64>);
+
 /// Columns of what is reported of a vehicle as a whole.
 const FACTS: [Fact; 27] = [
     ("vehicle", |facts| facts.vehicle.to_string()),
@@ -51,7 +54,7 @@ const FACTS: [Fact; 27] = [
 const TRAVEL: [Range<usize>; 2] = [5..8, 10..21];
 
 /// Columns of metric values.
-const METRIC: [(&str, fn(&MetricPose) -> Option<f64>); 23] = [
+const METRIC: [MetricColumn; 23] = [
     ("x_m", |pose| Some(pose.position_m[0])),
     ("y_m", |pose| Some(pose.position_m[1])),
     ("z_m", |pose| Some(pose.position_m[2])),

@@ -4,7 +4,7 @@ use std::str::FromStr;
 
 use serde_json::{Map, Value};
 
-/// Units of speeds and lengths in tables: the endings of names, and factors from m/s and m. Accelerations follow lengths.
+/// Units of speeds and lengths in tables: endings of names, factors from m/s and m. Accelerations follow lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
     speed: (&'static str, f64),

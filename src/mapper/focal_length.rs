@@ -149,8 +149,7 @@ pub(super) fn first_radial_gain(map: &Map<'_>, sigma_px: f64, options: &Options)
 
 /// Adjustments on trial, of some points in every part of every view.
 struct Probe<'a> {
-    /// What is adjusted together: all, or the stretches of a long video; and when each begins and how long it is, as
-    /// shares of the whole.
+    /// The whole map, or the stretches of a long video, each with its beginning and length as shares of the whole.
     parts: Vec<(Scope, [f64; 2])>,
     noise: Noise,
     options: &'a Options,

@@ -35,8 +35,8 @@ const MAX_PLACE_FACTOR: f64 = 2.5;
 impl Noise {
     /// From the residuals of all tracks, most of which stand still.
     pub fn measure(samples: &[(Circumstances, f64)]) -> Self {
-        let mut noise = Self::default();
-        noise.of_length = medians(samples.iter().map(|(c, rms)| (length_class(c), *rms)), 1);
+        let of_length = medians(samples.iter().map(|(c, rms)| (length_class(c), *rms)), 1);
+        let mut noise = Self { of_length, ..Self::default() };
         let nearby = samples.iter().flat_map(|(c, rms)| around(c).map(move |bin| ((bin, length_class(c)), *rms)));
         noise.typical = medians(nearby, MIN_SAMPLES);
         let relative = samples.iter().map(|(c, rms)| (c, rms / noise.usual(c)));

@@ -67,8 +67,8 @@ impl ImageTransform {
 
 /// Brings a model whose images are frames to the pixels of the frames, and says what was taken for granted.
 ///
-/// * `unstated` – cameras of which the file does not say how large their pictures are: the size in the model holds their
-///   features, and its middle is the picture's.
+/// * `unstated` – cameras whose image size the file does not state: the size in the model holds their features, and its
+///   middle is the picture's.
 ///
 /// # Errors
 /// [`PipelineError::Options`] names both sizes if pictures are not the frames.
