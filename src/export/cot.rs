@@ -68,12 +68,12 @@ impl CotEvent {
 }
 
 /// A vehicle with its events.
-struct Vehicle {
+struct Vehicle<'a> {
     id: ObjectId,
     /// Class and id.
     name: String,
     remarks: String,
-    fixes: Vec<Fix>,
+    fixes: Vec<Fix<'a>>,
 }
 
 /// Writes the events, ascending in time.
@@ -82,13 +82,13 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
     let vehicles = vehicles(results);
     let mut events: Vec<(&Vehicle, &Fix, f64)> = Vec::new();
     for vehicle in &vehicles {
-        let steps = vehicle.fixes.windows(2).map(|pair| pair[1].time_s - pair[0].time_s).collect();
+        let steps = vehicle.fixes.windows(2).map(|pair| pair[1].at.time_s - pair[0].at.time_s).collect();
         // An event is valid until the second event after it, and for a second at least: players drop it afterwards.
         let valid_s = (2.0 * median(steps).unwrap_or(0.0)).max(1.0);
         events.extend(vehicle.fixes.iter().map(|fix| (vehicle, fix, valid_s)));
     }
     // Stable: vehicles of one time stay in the order of their ids.
-    events.sort_by(|(_, a, _), (_, b, _)| a.time_s.total_cmp(&b.time_s));
+    events.sort_by(|(_, a, _), (_, b, _)| a.at.time_s.total_cmp(&b.at.time_s));
     xml::write(path, "events", &[], |xml| {
         let described = |(vehicle, fix, valid_s): &(&Vehicle, &Fix, f64)| {
             event(xml, &described(results, vehicle, fix, start_s, *valid_s))
@@ -97,7 +97,7 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
     })
 }
 
-fn vehicles(results: &Results) -> Vec<Vehicle> {
+fn vehicles(results: &Results) -> Vec<Vehicle<'_>> {
     let trajectories = &results.trajectories;
     let trusted = |object: &&ObjectTrajectory| !object.is_ruled_out();
     let usable = |track: &&GroundTrack| {
@@ -109,7 +109,7 @@ fn vehicles(results: &Results) -> Vec<Vehicle> {
         id: object.id,
         name: object.name(),
         remarks: format!("verdict: {}", object.verdict.as_ref().map_or("not judged", |found| found.state.name())),
-        fixes: results.fixes_of(&object.poses),
+        fixes: results.fixes(&object.poses),
     });
     let of_tracks = trajectories.ground_tracks.iter().filter(usable).map(|track| Vehicle {
         id: track.id,
@@ -119,7 +119,7 @@ fn vehicles(results: &Results) -> Vec<Vehicle> {
             track.method.name(),
             track.verdict.as_ref().map_or("not judged", |found| found.state.name())
         ),
-        fixes: results.fixes_of_contacts(&track.positions),
+        fixes: results.fixes(&track.positions),
     });
     of_objects.chain(of_tracks).collect()
 }
@@ -130,14 +130,14 @@ fn described(results: &Results, vehicle: &Vehicle, fix: &Fix, start_s: f64, vali
         uid: format!("tractrix.{}.{}", results.title, vehicle.id),
         callsign: vehicle.name.clone(),
         remarks: vehicle.remarks.clone(),
-        time_s: start_s + fix.time_s,
+        time_s: start_s + fix.at.time_s,
         valid_s,
         latitude: fix.place.latitude,
         longitude: fix.place.longitude,
         height_m: known(fix.place.height_m),
         horizontal_std_m: fix.place.horizontal_std_m(),
         vertical_std_m: known(fix.place.place_std_m[2]),
-        track: fix.metric.as_ref().and_then(|metric| metric.motion).map(|motion| {
+        track: fix.at.metric.and_then(|metric| metric.motion).map(|motion| {
             // A vehicle that backs up moves against its heading.
             let turn = if motion.speed_m_s < 0.0 { 180.0 } else { 0.0 };
             let course_deg = motion.heading_deg.map(|heading| (heading + turn).rem_euclid(360.0));
@@ -249,8 +249,7 @@ mod tests {
             assert!(event["stale"] > event["start"] && event["time"].ends_with('Z'), "{event:?}");
         }
         assert_eq!((events[0]["time"].as_str(), events[0]["how"].as_str()), ("2024-06-01T12:00:00Z", "m-i"));
-        let first = &trusted[0].poses[0];
-        let place = results.place_of(first.position, first.metric.as_ref()).unwrap();
+        let place = results.place_of(&trusted[0].poses[0]).unwrap();
         assert_eq!(
             (&points[0]["lat"], &points[0]["hae"]),
             (&format!("{:.9}", place.latitude), &format!("{:.4}", place.height_m))

@@ -4,7 +4,7 @@ use schemars::JsonSchema;
 use serde::Serialize;
 
 use crate::scene::{
-    Dimensions, Estimate, FrameId, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, TimeBase, Travel,
+    Dimensions, Estimate, FrameId, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, Position, TimeBase, Travel,
 };
 
 /// A vehicle's way in a few figures.
@@ -59,7 +59,7 @@ impl Facts {
             verdict: verdict.map(|verdict| verdict.state.name()),
             doubt: verdict.and_then(|verdict| verdict.complaints().next()).map(|doubt| doubt.says.clone()),
             dimensions: object.dimensions.unwrap_or_default(),
-            ..Self::between(object.poses.iter().map(|pose| (pose.frame, pose.time_s)), object.travel, time_base)
+            ..Self::along(&object.poses, object.travel, time_base)
         }
     }
 
@@ -71,23 +71,22 @@ impl Facts {
             confidence: track.confidence,
             verdict: track.verdict.as_ref().map(|verdict| verdict.state.name()),
             doubt: track.verdict.as_ref().map(|verdict| verdict.says.clone()),
-            ..Self::between(track.positions.iter().map(|at| (at.frame, at.time_s)), track.travel, time_base)
+            ..Self::along(&track.positions, track.travel, time_base)
         }
     }
 
-    /// Properties that follow from the frames, their times and the travel.
-    fn between(
-        frames: impl ExactSizeIterator<Item = (FrameId, f64)> + DoubleEndedIterator + Clone,
-        travel: Option<Travel>,
-        time_base: TimeBase,
-    ) -> Self {
-        let (first, last) = (frames.clone().next(), frames.clone().next_back());
-        let time = |at: Option<(FrameId, f64)>| at.filter(|_| time_base == TimeBase::Seconds).map(|(_, time_s)| time_s);
+    /// Properties that follow from the positions and the travel.
+    fn along<'a, T>(positions: &'a [T], travel: Option<Travel>, time_base: TimeBase) -> Self
+    where
+        Position<'a>: From<&'a T>,
+    {
+        let (first, last) = (positions.first().map(Position::from), positions.last().map(Position::from));
+        let time = |at: Option<Position>| at.filter(|_| time_base == TimeBase::Seconds).map(|at| at.time_s);
         let (first_time_s, last_time_s) = (time(first), time(last));
         Self {
-            num_frames: frames.len(),
-            first_frame: first.map(|(frame, _)| frame),
-            last_frame: last.map(|(frame, _)| frame),
+            num_frames: positions.len(),
+            first_frame: first.map(|at| at.frame),
+            last_frame: last.map(|at| at.frame),
             first_time_s,
             last_time_s,
             duration_s: first_time_s.zip(last_time_s).map(|(first, last)| last - first),

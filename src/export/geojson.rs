@@ -10,7 +10,7 @@ use serde_json::{Map, Value, json};
 use super::results::Fix;
 use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
-use crate::scene::{GroundTrack, MapPlace, MetricPose};
+use crate::scene::{GroundTrack, MapPlace, MetricPose, Position};
 
 /// Kind of the features of ground tracks.
 const GROUND_TRACK: &str = "ground-track";
@@ -20,12 +20,13 @@ pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| {
         let facts = Facts::of(object, results.time_base);
-        way(&results.fixes_of(&object.poses), results, &clock, vehicle_properties(&facts))
+        way(&results.fixes(&object.poses), results, &clock, vehicle_properties(&facts))
     });
     let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| {
-        way(&results.fixes_of_contacts(&track.positions), results, &clock, ground_track_properties(results, track))
+        let properties = ground_track_properties(results, track);
+        way(&results.fixes(&track.positions), results, &clock, properties)
     });
-    let camera = way(&results.camera_fixes(), results, &clock, properties(json!({ "kind": "camera" })));
+    let camera = way(&results.fixes(&results.views), results, &clock, properties(json!({ "kind": "camera" })));
     Ok(atomic::write_json(path, &collection(results, vehicles.chain(ground_tracks).chain([camera]).collect()))?)
 }
 
@@ -35,24 +36,23 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
     let mut features = Vec::new();
     for object in &results.trajectories.objects {
         let who = json!({ "kind": "vehicle", "vehicle": object.id, "class": object.class });
-        features.extend(results.fixes_of(&object.poses).iter().map(|fix| vehicle_at(results, &clock, &who, fix)));
+        features.extend(results.fixes(&object.poses).iter().map(|fix| vehicle_at(results, &clock, &who, fix)));
     }
     for track in &results.trajectories.ground_tracks {
         let who = json!({
             "kind": GROUND_TRACK, "vehicle": track.id, "class": track.class, "method": track.method.name()
         });
-        let fixes = results.fixes_of_contacts(&track.positions);
-        features.extend(fixes.iter().map(|fix| vehicle_at(results, &clock, &who, fix)));
+        features.extend(results.fixes(&track.positions).iter().map(|fix| vehicle_at(results, &clock, &who, fix)));
     }
-    features.extend(results.camera_fixes().iter().map(|fix| {
-        let more = [timed(&clock, fix), deviations(&fix.place)];
+    features.extend(results.fixes(&results.views).iter().map(|fix| {
+        let more = [timed(&clock, &fix.at), deviations(&fix.place)];
         point(results, &fix.place, joined(json!({ "kind": "camera" }), more))
     }));
     Ok(atomic::write_json(path, &collection(results, features))?)
 }
 
 fn vehicle_at(results: &Results, clock: &Clock, who: &Value, fix: &Fix) -> Value {
-    let more = [timed(clock, fix), motion(fix.metric.as_ref()), deviations(&fix.place)];
+    let more = [timed(clock, &fix.at), motion(fix.at.metric), deviations(&fix.place)];
     point(results, &fix.place, joined(who.clone(), more))
 }
 
@@ -70,11 +70,11 @@ fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<Stri
     let stays = |a: &Fix, b: &Fix| (a.place.longitude - b.place.longitude).abs() < 180.0;
     let pieces: Vec<&[Fix]> = fixes.chunk_by(stays).filter(|piece| piece.len() > 1).collect();
     let line = |piece: &[Fix]| piece.iter().map(|fix| coordinates(results, &fix.place)).collect::<Vec<_>>();
-    let times = |piece: &[Fix]| piece.iter().map(|fix| time(clock, fix)).collect::<Vec<_>>();
+    let times = |piece: &[Fix]| piece.iter().map(|fix| time(clock, &fix.at)).collect::<Vec<_>>();
     let (geometry, times) = match (pieces.as_slice(), fixes.first()) {
         ([], None) => (Value::Null, json!([])),
         ([], Some(fix)) => {
-            (json!({ "type": "Point", "coordinates": coordinates(results, &fix.place) }), json!([time(clock, fix)]))
+            (json!({ "type": "Point", "coordinates": coordinates(results, &fix.place) }), json!([time(clock, &fix.at)]))
         }
         ([piece], _) => (json!({ "type": "LineString", "coordinates": line(piece) }), json!(times(piece))),
         (pieces, _) => {
@@ -102,13 +102,13 @@ fn rounded(value: f64, steps: f64) -> f64 {
 }
 
 /// A date where one is known, else seconds after the video's start.
-fn time(clock: &Clock, fix: &Fix) -> Value {
-    clock.date(&fix.image, fix.time_s).map_or_else(|| json!(fix.time_s), Value::from)
+fn time(clock: &Clock, at: &Position) -> Value {
+    clock.date(at.name, at.time_s).map_or_else(|| json!(at.time_s), Value::from)
 }
 
-fn timed(clock: &Clock, fix: &Fix) -> Value {
-    let seconds = clock.has_seconds().then_some(fix.time_s);
-    json!({ "frame": fix.frame, "time_s": seconds, "date": clock.date(&fix.image, fix.time_s) })
+fn timed(clock: &Clock, at: &Position) -> Value {
+    let seconds = clock.has_seconds().then_some(at.time_s);
+    json!({ "frame": at.frame, "time_s": seconds, "date": clock.date(at.name, at.time_s) })
 }
 
 fn motion(metric: Option<&MetricPose>) -> Value {
@@ -215,11 +215,8 @@ mod tests {
     fn lines_are_cut_where_longitudes_jump_and_one_place_is_a_point() {
         let results = with_metres(results());
         let fix = |longitude: f64| Fix {
-            frame: crate::scene::FrameId(0),
-            metric: None,
+            at: Position { time_s: longitude, ..Position::from(&results.views[0]) },
             place: MapPlace { longitude, latitude: -17.0, height_m: 3.0, place_std_m: [1.0; 3] },
-            image: String::new(),
-            time_s: longitude,
         };
         let geometry =
             |fixes: &[Fix]| way(fixes, &results, &Clock::of(None, crate::scene::TimeBase::Seconds), Map::new());

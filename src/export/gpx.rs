@@ -21,14 +21,14 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
 
 fn points(xml: &mut Xml, results: &Results) -> std::io::Result<()> {
     let clock = results.clock();
-    for fix in results.camera_fixes() {
+    for fix in results.fixes(&results.views) {
         let [latitude, longitude] = [fix.place.latitude, fix.place.longitude].map(|degrees| format!("{degrees:.9}"));
         let attributes = [("lat", latitude.as_str()), ("lon", longitude.as_str())];
         xml.create_element("trkpt").with_attributes(attributes).write_inner_content(|xml| {
             if results.knows_height() {
                 element(xml, "ele", &format!("{:.4}", fix.place.height_m))?;
             }
-            clock.date(&fix.image, fix.time_s).map_or(Ok(()), |date| element(xml, "time", &date))
+            clock.date(fix.at.name, fix.at.time_s).map_or(Ok(()), |date| element(xml, "time", &date))
         })?;
     }
     Ok(())

@@ -15,14 +15,14 @@ use crate::report::object_colour;
 use crate::scene::{GroundTrack, ObjectTrajectory};
 
 /// Content of one track.
-struct Track {
+struct Track<'a> {
     name: String,
     description: String,
     colour: [u8; 3],
     /// Width of the line, pixels.
     width: &'static str,
     altitude_mode: &'static str,
-    fixes: Vec<Fix>,
+    fixes: Vec<Fix<'a>>,
 }
 
 /// Writes the ways of vehicles and camera.
@@ -42,7 +42,7 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
     })
 }
 
-fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
+fn vehicle<'a>(results: &Results, object: &'a ObjectTrajectory) -> Track<'a> {
     let facts = Facts::of(object, results.time_base);
     // Of a rejected trajectory a speed would be taken for one.
     let speed = facts
@@ -62,11 +62,11 @@ fn vehicle(results: &Results, object: &ObjectTrajectory) -> Track {
         colour: object_colour(object.id),
         width: "4",
         altitude_mode: "clampToGround",
-        fixes: results.fixes_of(&object.poses),
+        fixes: results.fixes(&object.poses),
     }
 }
 
-fn ground_track(results: &Results, track: &GroundTrack) -> Track {
+fn ground_track<'a>(results: &Results, track: &'a GroundTrack) -> Track<'a> {
     let verdict = track.verdict.as_ref();
     let said = verdict.map(|verdict| format!("{}; {}; ", verdict.state.name(), verdict.says)).unwrap_or_default();
     Track {
@@ -75,11 +75,11 @@ fn ground_track(results: &Results, track: &GroundTrack) -> Track {
         colour: object_colour(track.id),
         width: "2",
         altitude_mode: "clampToGround",
-        fixes: results.fixes_of_contacts(&track.positions),
+        fixes: results.fixes(&track.positions),
     }
 }
 
-fn camera(results: &Results) -> Track {
+fn camera(results: &Results) -> Track<'_> {
     let (altitude_mode, description) = match results.knows_height() {
         true => ("absolute", "heights are those of the receiver"),
         false => ("relativeToGround", "heights are relative to an unknown level, assumed to be the ground"),
@@ -90,7 +90,7 @@ fn camera(results: &Results) -> Track {
         colour: [255; 3],
         width: "4",
         altitude_mode,
-        fixes: results.camera_fixes(),
+        fixes: results.fixes(&results.views),
     }
 }
 
@@ -109,8 +109,8 @@ fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()>
         })?;
         xml.create_element("gx:Track").write_inner_content(|xml| {
             element(xml, "altitudeMode", track.altitude_mode)?;
-            let times = track.fixes.iter().map(|fix| clock.date_or_since_1970(&fix.image, fix.time_s));
-            times.into_iter().try_for_each(|time| element(xml, "when", &time))?;
+            let mut times = track.fixes.iter().map(|fix| clock.date_or_since_1970(fix.at.name, fix.at.time_s));
+            times.try_for_each(|time| element(xml, "when", &time))?;
             track.fixes.iter().try_for_each(|fix| {
                 let place = &fix.place;
                 let coordinates = format!("{:.9} {:.9} {:.4}", place.longitude, place.latitude, place.height_m);

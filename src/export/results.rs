@@ -11,8 +11,8 @@ use crate::camera::Camera;
 use crate::io::{IoError, RunFolder, json};
 use crate::math::{Rigid3, Sim3, median};
 use crate::scene::{
-    Frame, FrameId, Ground, GroundPosition, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, MetricPose, Motion,
-    ObjectPose, ObjectTrajectory, Reconstruction, TimeBase, Trajectories, Trust, Unit,
+    Frame, FrameId, Ground, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, Motion, ObjectTrajectory, Position,
+    Reconstruction, TimeBase, Trajectories, Trust, Unit,
 };
 use crate::telemetry::{Geodetic, LocalFrame};
 
@@ -30,15 +30,10 @@ pub(super) fn motions(object: &ObjectTrajectory) -> impl Iterator<Item = (f64, M
     object.poses.iter().filter_map(|pose| Some((pose.time_s, pose.metric.as_ref()?.motion?)))
 }
 
-/// A position on the map, and the frame in which something is there.
-pub(super) struct Fix {
-    pub(super) frame: FrameId,
-    pub(super) image: String,
-    /// Time of the video, seconds.
-    pub(super) time_s: f64,
+/// A position that is known on the map.
+pub(super) struct Fix<'a> {
+    pub(super) at: Position<'a>,
     pub(super) place: MapPlace,
-    /// Position and motion in meters, of a vehicle whose results have them.
-    pub(super) metric: Option<MetricPose>,
 }
 
 /// A frame whose camera is known.
@@ -52,6 +47,13 @@ pub struct RegisteredFrame {
     pub camera: Camera,
     /// World (the background's frame) to camera.
     pub cam_from_world: Rigid3,
+}
+
+impl<'a> From<&'a RegisteredFrame> for Position<'a> {
+    fn from(view: &'a RegisteredFrame) -> Self {
+        let Frame { id, ref name, time_s } = view.frame;
+        Self { frame: id, name, time_s, in_world: view.cam_from_world.center(), metric: None }
+    }
 }
 
 /// Content of an output folder.
@@ -237,41 +239,19 @@ impl Results {
         median(self.views.windows(2).map(|pair| pair[1].frame.time_s - pair[0].frame.time_s).collect())
     }
 
-    /// Positions of a vehicle on the map.
-    pub(super) fn fixes_of(&self, poses: &[ObjectPose]) -> Vec<Fix> {
-        let fix = |pose: &ObjectPose| self.fix((pose.frame, &pose.name, pose.time_s), pose.position, pose.metric);
-        poses.iter().filter_map(fix).collect()
+    /// Positions of a vehicle or the camera on the map.
+    pub(super) fn fixes<'a, T>(&self, positions: &'a [T]) -> Vec<Fix<'a>>
+    where
+        Position<'a>: From<&'a T>,
+    {
+        let fix = |at: Position<'a>| Some(Fix { place: self.place_of(at)?, at });
+        positions.iter().map(Position::from).filter_map(fix).collect()
     }
 
-    /// Contact points of a vehicle on the map.
-    pub(super) fn fixes_of_contacts(&self, contacts: &[GroundPosition]) -> Vec<Fix> {
-        let fix = |at: &GroundPosition| self.fix((at.frame, &at.name, at.time_s), at.position, at.metric);
-        contacts.iter().filter_map(fix).collect()
-    }
-
-    fn fix(
-        &self,
-        (frame, image, time_s): (FrameId, &str, f64),
-        position: [f64; 3],
-        metric: Option<MetricPose>,
-    ) -> Option<Fix> {
-        let place = self.place_of(position, metric.as_ref())?;
-        Some(Fix { frame, image: image.to_owned(), time_s, place, metric })
-    }
-
-    /// Positions of the camera on the map.
-    pub(super) fn camera_fixes(&self) -> Vec<Fix> {
-        let fix = |view: &RegisteredFrame| {
-            let Frame { id, ref name, time_s, .. } = view.frame;
-            let place = self.place(view.cam_from_world.center())?;
-            Some(Fix { frame: id, image: name.clone(), time_s, place, metric: None })
-        };
-        self.views.iter().filter_map(fix).collect()
-    }
-
-    /// Where a vehicle is on the map in one frame: as the results say, else by its position.
-    pub fn place_of(&self, position: [f64; 3], metric: Option<&MetricPose>) -> Option<MapPlace> {
-        metric.and_then(|metric| metric.place).or_else(|| self.place(Point3::from(position)))
+    /// Where something is on the map in one frame: as the results say, else by its position.
+    pub fn place_of<'a>(&self, at: impl Into<Position<'a>>) -> Option<MapPlace> {
+        let Position { metric, in_world, .. } = at.into();
+        metric.and_then(|metric| metric.place).or_else(|| self.place(in_world))
     }
 }
 
@@ -297,10 +277,9 @@ struct Times<'a> {
 
 impl<'a> Times<'a> {
     fn new(frames: Option<&'a [Frame]>, trajectories: &'a Trajectories, input: &InputJson) -> Self {
-        let poses = trajectories.objects.iter().flat_map(|object| &object.poses);
-        let contacts = trajectories.ground_tracks.iter().flat_map(|track| &track.positions);
-        let mut known: HashMap<_, _> = poses.map(|pose| (pose.name.as_str(), (pose.frame, pose.time_s))).collect();
-        known.extend(contacts.map(|at| (at.name.as_str(), (at.frame, at.time_s))));
+        let poses = trajectories.objects.iter().flat_map(|object| &object.poses).map(Position::from);
+        let contacts = trajectories.ground_tracks.iter().flat_map(|track| &track.positions).map(Position::from);
+        let mut known: HashMap<_, _> = poses.chain(contacts).map(|at| (at.name, (at.frame, at.time_s))).collect();
         let frames = frames.unwrap_or_default().iter();
         known.extend(frames.map(|frame| (frame.name.as_str(), (frame.id, frame.time_s))));
         Self { known, fps: input.info.fps.filter(|fps| *fps > 0.0 && input.times == TimeBase::Seconds) }

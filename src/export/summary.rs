@@ -166,7 +166,7 @@ impl Row {
         Self {
             facts: Some(Facts::of(object, results.time_base)),
             date: first.and_then(|pose| results.clock().date(&pose.name, pose.time_s)),
-            place: first.and_then(|pose| results.place_of(pose.position, pose.metric.as_ref())),
+            place: first.and_then(|pose| results.place_of(pose)),
             ..self.clone()
         }
     }

@@ -11,7 +11,7 @@ use nalgebra::Point3;
 use super::facts::raw_speed;
 use super::{Clock, ExportError, Facts, RegisteredFrame, Results, Units};
 use crate::io::{IoError, atomic};
-use crate::scene::{Estimate, FrameId, GroundPosition, GroundTrack, MapPlace, MetricPose, ObjectTrajectory, TimeBase};
+use crate::scene::{Estimate, FrameId, GroundTrack, MapPlace, MetricPose, ObjectTrajectory, Position, TimeBase};
 
 /// Name of a column, and its cell in the row of a vehicle.
 type Fact = (&'static str, fn(&Facts) -> String);
@@ -133,16 +133,10 @@ pub(super) fn trajectories(path: &Path, results: &Results) -> Result<(), ExportE
 }
 
 fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index: usize) -> Vec<String> {
-    let pose = &object.poses[index];
-    let times = clock.time_and_date(&pose.name, pose.time_s);
-    let [x, y, z] = pose.position.map(|value| value.to_string());
+    let pose = Position::from(&object.poses[index]);
     let speed = raw_speed(&object.poses, index).filter(|_| results.time_base == TimeBase::Seconds);
-    let mut cells = vec![object.id.to_string(), object.class.clone(), pose.frame.0.to_string(), pose.name.clone()];
-    cells.extend(times);
-    cells.extend([x, y, z, exact(speed)]);
-    cells.extend(metric_cells(pose.metric.as_ref()));
-    cells.extend(place_cells(results.place_of(pose.position, pose.metric.as_ref())));
-    cells
+    let who = vec![object.id.to_string(), object.class.clone()];
+    [who, position_cells(clock, &pose), vec![exact(speed)], metric_cells(results, &pose)].concat()
 }
 
 /// One row per ground track.
@@ -174,28 +168,32 @@ pub(super) fn ground_positions(path: &Path, results: &Results) -> Result<(), Exp
     let columns = [&head[..], &MOMENT, &POSITION, &metric_columns(), &PLACE].concat();
     let rows = results.trajectories.ground_tracks.iter().flat_map(|track| {
         let clock = &clock;
-        track.positions.iter().map(move |position| contact_cells(results, clock, track, position))
+        track.positions.iter().map(move |contact| contact_cells(results, clock, track, contact.into()))
     });
     write_in(path, results.units, &columns, rows)
 }
 
-fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, position: &GroundPosition) -> Vec<String> {
-    let mut cells = vec![track.id.to_string(), track.class.clone(), track.method.name().to_owned()];
-    cells.extend([position.frame.0.to_string(), position.name.clone()]);
-    cells.extend(clock.time_and_date(&position.name, position.time_s));
-    cells.extend(position.position.map(|value| value.to_string()));
-    cells.extend(metric_cells(position.metric.as_ref()));
-    cells.extend(place_cells(results.place_of(position.position, position.metric.as_ref())));
-    cells
+fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, contact: Position) -> Vec<String> {
+    let who = vec![track.id.to_string(), track.class.clone(), track.method.name().to_owned()];
+    [who, position_cells(clock, &contact), metric_cells(results, &contact)].concat()
+}
+
+/// Cells of [`MOMENT`] and [`POSITION`]; the time is empty where nobody stated a rate.
+fn position_cells(clock: &Clock, at: &Position) -> Vec<String> {
+    let time = if clock.has_seconds() { at.time_s.to_string() } else { String::new() };
+    let date = clock.date(at.name, at.time_s).unwrap_or_default();
+    let [x, y, z] = [at.in_world.x, at.in_world.y, at.in_world.z].map(|value| value.to_string());
+    vec![at.frame.0.to_string(), at.name.to_owned(), time, date, x, y, z]
 }
 
 fn metric_columns() -> [&'static str; METRIC.len()] {
     METRIC.map(|(name, _)| name)
 }
 
-/// Metric values.
-fn metric_cells(pose: Option<&MetricPose>) -> impl Iterator<Item = String> {
-    METRIC.iter().map(move |(_, value)| metres(pose.and_then(value)))
+/// Cells of [`METRIC`] and [`PLACE`].
+fn metric_cells(results: &Results, at: &Position) -> Vec<String> {
+    let metric = METRIC.iter().map(|(_, value)| metres(at.metric.and_then(value)));
+    metric.chain(place_cells(results.place_of(*at))).collect()
 }
 
 /// One row per frame of the camera.
@@ -209,9 +207,8 @@ pub(super) fn camera(path: &Path, results: &Results) -> Result<(), ExportError> 
 fn view_cells(results: &Results, clock: &Clock, view: &RegisteredFrame) -> Vec<String> {
     let center = view.cam_from_world.center();
     let turn = view.cam_from_world.rotation.inverse();
-    let mut cells = vec![view.frame.id.0.to_string(), view.frame.name.clone()];
-    cells.extend(clock.time_and_date(&view.frame.name, view.frame.time_s));
-    cells.extend([center.x, center.y, center.z, turn.w, turn.i, turn.j, turn.k].map(|value| value.to_string()));
+    let mut cells = position_cells(clock, &view.into());
+    cells.extend([turn.w, turn.i, turn.j, turn.k].map(|value| value.to_string()));
     cells.extend(view.camera.focal.map(|focal| focal.to_string()));
     let in_metres = results.metric_frame().map(|frame| frame.metric_from_world() * center);
     cells.extend([0, 1, 2].map(|axis| metres(in_metres.map(|point: Point3<f64>| point[axis]))));
@@ -229,14 +226,6 @@ fn place_cells(place: Option<MapPlace>) -> [String; 4] {
         metres(place.map(|place| place.height_m)),
         metres(place.map(|place| place.horizontal_std_m())),
     ]
-}
-
-impl Clock {
-    /// Two cells: the time of the video, empty where nobody stated a rate, and the date, where that is known.
-    fn time_and_date(&self, image: &str, time_s: f64) -> [String; 2] {
-        let time = if self.has_seconds() { time_s.to_string() } else { String::new() };
-        [time, self.date(image, time_s).unwrap_or_default()]
-    }
 }
 
 fn value(estimate: Option<Estimate>) -> String {

@@ -12,6 +12,7 @@ mod mask;
 mod mesh;
 mod metric;
 mod names;
+mod position;
 mod reconstruction;
 mod scale_method;
 mod tracked;
@@ -34,6 +35,7 @@ pub use metric::{
     MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, Travel, sources_in_words,
 };
 pub(crate) use names::with_names;
+pub use position::Position;
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,
 };
