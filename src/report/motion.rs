@@ -5,16 +5,7 @@ use super::metres;
 use super::travel::{KM_H, estimate};
 use super::view::quantile;
 use super::words::figure;
-use crate::scene::{Dimensions, Estimate, FrameId, MetricPose, Motion, ObjectPose, ObjectTrajectory, TimeBase};
-
-/// The poses of an object that have metres, where the result has any.
-fn poses<'a>(data: &Data, object: &Object<'a>) -> Vec<(&'a ObjectPose, &'a MetricPose)> {
-    if data.metric.and_then(metres::frame).is_none() {
-        return Vec::new();
-    }
-    let poses = object.trajectory.into_iter().flat_map(|trajectory| &trajectory.poses);
-    poses.filter_map(|pose| Some((pose, pose.metric.as_ref()?))).collect()
-}
+use crate::scene::{Dimensions, Estimate, FrameId, MetricPose, Motion, ObjectTrajectory, Position, TimeBase};
 
 /// Its motion; without a rate a motion has no meaning.
 fn motion<'a>(data: &Data, metric: &'a MetricPose) -> Option<&'a Motion> {
@@ -45,13 +36,14 @@ fn km_h(speed_m_s: f64) -> String {
 
 /// Size and distance of a vehicle; none where metres are unknown.
 pub(super) fn facts(data: &Data, object: &Object) -> Vec<Fact> {
-    let poses = poses(data, object);
+    let trajectory = object.trajectory.filter(|_| data.metric.and_then(metres::frame).is_some());
+    let metric = trajectory.into_iter().flat_map(|trajectory| &trajectory.poses).filter_map(|pose| pose.metric);
+    let mut distances: Vec<f64> = metric.map(|metric| metric.distance_to_camera_m).collect();
     let mut facts = Vec::new();
-    if poses.is_empty() {
+    if distances.is_empty() {
         return facts;
     }
-    facts.extend(object.trajectory.and_then(|trajectory| Some(size(trajectory, trajectory.dimensions.as_ref()?))));
-    let mut distances: Vec<f64> = poses.iter().map(|(_, metric)| metric.distance_to_camera_m).collect();
+    facts.extend(trajectory.and_then(|trajectory| Some(size(trajectory, trajectory.dimensions.as_ref()?))));
     let range = [0.0, 1.0].map(|q| figure(quantile(&mut distances, q), 3));
     facts.push(Fact::new("distance to the camera", format!("{} to {} m", range[0], range[1])));
     facts
@@ -107,26 +99,18 @@ pub(super) fn readings(data: &Data, object: &Object, quantity: Quantity) -> Vec<
             Quantity::Heading => (heading?, motion.heading_std_deg?, None),
         })
     };
-    let reading = |frame: FrameId, metric: &MetricPose, heading: Option<f64>| {
-        let (value, std, raw) = value(motion(data, metric)?, heading)?;
-        Some(Reading { frame, value, std, raw })
+    let reading = |at: Position, heading: Option<f64>| {
+        let (value, std, raw) = value(motion(data, at.metric?)?, heading)?;
+        Some(Reading { frame: at.frame, value, std, raw })
     };
-    if let Some(track) = object.answering_track() {
-        let is_metric = data.metric.and_then(metres::frame).is_some();
-        let positions = track.positions.iter().filter(|_| is_metric);
-        return positions.filter_map(|at| reading(at.frame, at.metric.as_ref()?, None)).collect();
-    }
-    let headings = match (quantity, object.trajectory) {
-        (Quantity::Heading, Some(trajectory)) => trajectory.unwrapped_headings_deg(),
+    match (data.metric.and_then(metres::frame), object.answering_track(), object.trajectory) {
+        (Some(_), Some(track), _) => track.positions.iter().filter_map(|at| reading(at.into(), None)).collect(),
+        (Some(_), None, Some(trajectory)) => {
+            let headings = trajectory.unwrapped_headings_deg();
+            trajectory.poses.iter().zip(headings).filter_map(|(at, heading)| reading(at.into(), heading)).collect()
+        }
         _ => Vec::new(),
-    };
-    let poses_of = object.trajectory.map_or(&[][..], |trajectory| &trajectory.poses);
-    let heading = |pose: &ObjectPose| {
-        let k = poses_of.binary_search_by_key(&pose.frame, |other| other.frame).ok()?;
-        *headings.get(k)?
-    };
-    let placed = poses(data, object).into_iter();
-    placed.filter_map(|(pose, metric)| reading(pose.frame, metric, heading(pose))).collect()
+    }
 }
 
 #[cfg(test)]
