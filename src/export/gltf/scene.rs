@@ -93,8 +93,7 @@ impl<'a> Scene<'a> {
         let places: Vec<_> = points.iter().map(|point| self.scene_from_world * point.position).collect();
         let colours: Vec<_> = points.iter().map(|point| point.rgb).collect();
         if let Some(cloud) = self.cloud(&places, &colours) {
-            let mesh = self.mesh("background", vec![cloud]);
-            self.nodes.push(json!({ "name": "background", "mesh": mesh }));
+            self.add_mesh("background", cloud);
         }
     }
 
@@ -125,7 +124,7 @@ impl<'a> Scene<'a> {
             "name": "camera", "camera": 0, "translation": translation, "rotation": rotation,
         }));
         self.animate(node, &times, &places, &turns);
-        self.add_way("camera path", &places, [240, 200, 40]);
+        self.add_path("camera path", &places, Mode::LineStrip, [240, 200, 40]);
     }
 
     /// A node that moves, and the line that it draws.
@@ -166,7 +165,7 @@ impl<'a> Scene<'a> {
         self.show_while(index, &times, pose.scale);
         let centers: Vec<_> =
             object.poses.iter().map(|pose| self.scene_from_world * Point3::from(pose.position)).collect();
-        self.add_way(&format!("path of {name}"), &centers, colour);
+        self.add_path(&format!("path of {name}"), &centers, Mode::LineStrip, colour);
     }
 
     /// A point that moves over the ground, and its path as a dashed line.
@@ -193,20 +192,20 @@ impl<'a> Scene<'a> {
         self.show_while(index, &times, 1.0);
         // Every other piece.
         let dashes: Vec<_> = places.windows(2).step_by(2).flatten().copied().collect();
-        if !dashes.is_empty() {
-            let lines = self.lines(&dashes, Mode::Lines, colour);
-            let name = format!("path of {name}");
-            let mesh = self.mesh(&name, vec![lines]);
-            self.nodes.push(json!({ "name": name, "mesh": mesh }));
+        self.add_path(&format!("path of {name}"), &dashes, Mode::Lines, colour);
+    }
+
+    fn add_path(&mut self, name: &str, places: &[Point3<f64>], mode: Mode, colour: [u8; 3]) {
+        if places.len() > 1 {
+            let lines = self.lines(places, mode, colour);
+            self.add_mesh(name, lines);
         }
     }
 
-    fn add_way(&mut self, name: &str, places: &[Point3<f64>], colour: [u8; 3]) {
-        if places.len() > 1 {
-            let line = self.lines(places, Mode::LineStrip, colour);
-            let mesh = self.mesh(name, vec![line]);
-            self.nodes.push(json!({ "name": name, "mesh": mesh }));
-        }
+    /// A node that shows one primitive.
+    fn add_mesh(&mut self, name: &str, primitive: Value) {
+        let mesh = self.mesh(name, vec![primitive]);
+        self.nodes.push(json!({ "name": name, "mesh": mesh }));
     }
 
     /// Points with colours of their own; `None` without points.
