@@ -11,6 +11,7 @@ use super::covariance::System;
 use super::layout::{Layout, NONE};
 use super::options::Options;
 use super::problem::{BundleError, Problem};
+use crate::math::centroid;
 
 /// Covariances of the centers of all poses by the intrinsics that are free in a problem, with Σ_θ = Cov(θ); zero for
 /// poses that nothing moves.
@@ -54,9 +55,9 @@ impl System<'_> {
 /// Subtracts the infinitesimal similarity that explains most of some steps of centers.
 fn subtract_similarity(centers: &[Point3<f64>], steps: &mut [Vector3<f64>]) {
     let count = centers.len().max(1) as f64;
-    let middle = centers.iter().map(|center| center.coords).sum::<Vector3<f64>>() / count;
+    let middle = centroid(centers);
     let mean = steps.iter().sum::<Vector3<f64>>() / count;
-    let arm = |k: usize| centers[k].coords - middle;
+    let arm = |k: usize| centers[k] - middle;
     // Rotation vector and change of scale: d = ω × a + s a.
     let basis = |a: Vector3<f64>| [Vector3::x().cross(&a), Vector3::y().cross(&a), Vector3::z().cross(&a), a];
     let (mut normal, mut right) = (DMatrix::<f64>::zeros(4, 4), DMatrix::<f64>::zeros(4, 1));

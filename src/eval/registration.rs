@@ -14,7 +14,7 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use crate::math::{Rigid3, Sim3, umeyama};
+use crate::math::{Rigid3, Sim3, centroid, umeyama};
 
 /// Fewest cameras: three centres and their residuals can contradict one another, two always agree.
 pub const MIN_CAMERAS: usize = 3;
@@ -87,7 +87,6 @@ fn direction_points(cam_from_world: &Rigid3, magnitude: f64) -> [Point3<f64>; 2]
 
 /// Root mean square distance from the mean.
 pub(super) fn spread(points: &[Point3<f64>]) -> f64 {
-    let n = points.len() as f64;
-    let mean = points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
-    (points.iter().map(|p| (p.coords - mean).norm_squared()).sum::<f64>() / n).sqrt()
+    let mean = centroid(points);
+    (points.iter().map(|p| (p - mean).norm_squared()).sum::<f64>() / points.len() as f64).sqrt()
 }

@@ -10,7 +10,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
 
-use crate::math::{Rigid3, median};
+use crate::math::{Rigid3, centroid, median};
 use crate::scene::{FrameId, ObjectId, ObjectTrajectory, Trajectories, Trust};
 
 /// Frames that two trajectories must have in common.
@@ -92,8 +92,8 @@ fn first_per_second(first: &RunResult, second: &RunResult) -> Option<f64> {
     let both = || first.cam_from_world.keys().filter(|id| second.cam_from_world.contains_key(*id));
     let spread = |found: &RunResult| {
         let centers: Vec<Point3<f64>> = both().map(|id| found.cam_from_world[id].center()).collect();
-        let mean = centers.iter().map(|center| center.coords).sum::<Vector3<f64>>() / centers.len() as f64;
-        centers.iter().map(|center| (center.coords - mean).norm_squared()).sum::<f64>().sqrt()
+        let mean = centroid(&centers);
+        centers.iter().map(|center| (center - mean).norm_squared()).sum::<f64>().sqrt()
     };
     let unit = spread(first) / spread(second);
     (both().count() >= LEAST_FRAMES && unit.is_finite() && unit > 0.0).then_some(unit)

@@ -2,12 +2,11 @@
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-use super::{Sim3, svd3};
+use super::{Sim3, any_across, centroid, svd3};
 
 /// Two unit directions across a unit vector and one another.
 pub fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let side = if direction.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
-    let first = direction.cross(&side).normalize();
+    let first = any_across(direction);
     [first, direction.cross(&first)]
 }
 
@@ -23,8 +22,7 @@ pub fn umeyama(source: &[Point3<f64>], target: &[Point3<f64>]) -> Option<Sim3> {
         return None;
     }
     let n = source.len() as f64;
-    let mean = |points: &[Point3<f64>]| points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n;
-    let (source_mean, target_mean) = (mean(source), mean(target));
+    let (source_mean, target_mean) = (centroid(source).coords, centroid(target).coords);
     let mut covariance = Matrix3::zeros();
     let mut source_variance = 0.0;
     for (s, t) in source.iter().zip(target) {

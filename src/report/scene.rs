@@ -11,7 +11,8 @@ use super::motion;
 use super::overlay::{css_colour, object_colour, spread};
 use super::plan::Turn;
 use super::timeline::Timeline;
-use super::view::{RADIUS, View, finite, rounded};
+use super::view::{RADIUS, View, rounded};
+use crate::math::is_finite;
 use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction};
 
 /// Background points shown: 12 characters each in the page.
@@ -220,7 +221,7 @@ fn scene_object(
         .model
         .iter()
         .flat_map(|m| &m.reconstruction.points)
-        .filter(|(_, p)| finite(&p.position))
+        .filter(|(_, p)| is_finite(&p.position))
         .map(|(id, p)| (*id, p))
         .collect();
     let points = sample(&all, budget);

@@ -8,7 +8,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::data::{Data, Object};
 use super::metres;
-use crate::math::{self, Rigid3, Sim3, symmetric_eigen};
+use crate::math::{self, Rigid3, Sim3, centroid, is_finite, symmetric_eigen};
 use crate::scene::{Point3d, Reconstruction};
 
 /// Radius of camera path and trajectories in the view's frame.
@@ -84,23 +84,19 @@ impl View {
 
 /// The places of the cameras; `None` without any.
 fn centers(model: &Reconstruction) -> Option<Vec<Point3<f64>>> {
-    let centers: Vec<_> = model.images.values().map(|i| i.cam_from_world.center()).filter(finite).collect();
+    let centers: Vec<_> = model.images.values().map(|i| i.cam_from_world.center()).filter(is_finite).collect();
     (!centers.is_empty()).then_some(centers)
-}
-
-pub(super) fn finite(p: &Point3<f64>) -> bool {
-    p.iter().all(|v| v.is_finite())
 }
 
 /// Points that the first view contains: camera centers and the trajectories that are trusted (all, if none is).
 fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let positions = |object: &Object| -> Vec<Point3<f64>> {
-        object.trajectory.iter().flat_map(|t| &t.poses).map(|p| Point3::from(p.position)).filter(finite).collect()
+        object.trajectory.iter().flat_map(|t| &t.poses).map(|p| Point3::from(p.position)).filter(is_finite).collect()
     };
     let sure = |o: &&Object| o.trajectory.is_some_and(|t| !t.is_ruled_out());
     let mut moving: Vec<_> = data.objects.iter().filter(sure).flat_map(positions).collect();
     let contacts = data.objects.iter().filter_map(|o| o.ground_track).flat_map(|track| &track.positions);
-    moving.extend(contacts.map(|at| Point3::from(at.position)).filter(finite));
+    moving.extend(contacts.map(|at| Point3::from(at.position)).filter(is_finite));
     if moving.is_empty() {
         moving = data.objects.iter().flat_map(positions).collect();
     }
@@ -138,12 +134,12 @@ fn mean_camera_up(background: &Reconstruction) -> Vector3<f64> {
 
 /// Direction of least spread of a set of points; `None` for fewer than ten.
 fn plane_normal(points: &[&Point3d]) -> Option<Vector3<f64>> {
-    let positions: Vec<_> = points.iter().map(|p| p.position).filter(finite).collect();
+    let positions: Vec<_> = points.iter().map(|p| p.position).filter(is_finite).collect();
     if positions.len() < 10 {
         return None;
     }
-    let middle = positions.iter().map(|p| p.coords).sum::<Vector3<f64>>() / positions.len() as f64;
-    let spread: Matrix3<f64> = positions.iter().map(|p| (p.coords - middle) * (p.coords - middle).transpose()).sum();
+    let middle = centroid(&positions);
+    let spread: Matrix3<f64> = positions.iter().map(|p| p - middle).map(|v| v * v.transpose()).sum();
     let eigen = symmetric_eigen(spread)?;
     let least = eigen.eigenvalues.imin();
     eigen.eigenvectors.column(least).into_owned().try_normalize(1e-12)
@@ -152,9 +148,9 @@ fn plane_normal(points: &[&Point3d]) -> Option<Vector3<f64>> {
 /// The rotation that takes `up` to +y and the main horizontal direction of the focus to ±x, such that the cameras look
 /// away from the viewer.
 fn upright(up: Vector3<f64>, focus: &[Point3<f64>], forward: Vector3<f64>) -> UnitQuaternion<f64> {
-    let middle = focus.iter().map(|p| p.coords).sum::<Vector3<f64>>() / focus.len().max(1) as f64;
+    let middle = centroid(focus);
     let flat = |v: Vector3<f64>| v - up * up.dot(&v);
-    let spread: Matrix3<f64> = focus.iter().map(|p| flat(p.coords - middle)).map(|v| v * v.transpose()).sum();
+    let spread: Matrix3<f64> = focus.iter().map(|p| flat(p - middle)).map(|v| v * v.transpose()).sum();
     let longest = symmetric_eigen(spread).map(|eigen| eigen.eigenvectors.column(eigen.eigenvalues.imax()).into_owned());
     let main = longest.map_or(Vector3::zeros(), flat);
     let any = flat(if up.x.abs() < 0.7 { Vector3::x() } else { Vector3::z() });

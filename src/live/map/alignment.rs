@@ -1,9 +1,9 @@
 //! A map in the frame of the last one, and the frames that are no keyframes in the map.
 
-use nalgebra::{Point3, Vector3};
+use nalgebra::Point3;
 
 use super::Mapper;
-use crate::math::{Sim3, median, umeyama};
+use crate::math::{Sim3, centroid, median, umeyama};
 use crate::scene::{Point3d, Reconstruction};
 
 /// Fewest points that two maps must share to be aligned.
@@ -48,7 +48,7 @@ fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64
         let similarity = umeyama(&from, &to)?;
         let residual = |(from, to): &(Point3<f64>, Point3<f64>)| (similarity * *from - to).norm();
         let typical = median(pairs.iter().map(residual).collect())?;
-        let center = Point3::from(to.iter().map(|p| p.coords).sum::<Vector3<f64>>() / to.len() as f64);
+        let center = centroid(&to);
         let spread = median(to.iter().map(|p| (p - center).norm()).collect())?;
         let count = (pairs.len() as f64).min(INDEPENDENT);
         found = Some((similarity, (typical / spread).powi(2) / count));

@@ -7,7 +7,7 @@
 use nalgebra::{Matrix2x3, Point3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
 use crate::geometry::triangulation::View;
-use crate::math::{Rng, Sim3, umeyama};
+use crate::math::{Rng, Sim3, centroid, umeyama};
 use crate::robust::{self, Estimator};
 
 /// A turn, a shift in units of the points' spread, and the logarithm of the scale.
@@ -211,9 +211,8 @@ fn center_and_spread(points: &[Point3<f64>]) -> Option<(Point3<f64>, f64)> {
     if points.len() < 3 {
         return None;
     }
-    let n = points.len() as f64;
-    let center = Point3::from(points.iter().map(|p| p.coords).sum::<Vector3<f64>>() / n);
-    let spread = (points.iter().map(|p| (p - center).norm_squared()).sum::<f64>() / n).sqrt();
+    let center = centroid(points);
+    let spread = (points.iter().map(|p| (p - center).norm_squared()).sum::<f64>() / points.len() as f64).sqrt();
     (spread > f64::MIN_POSITIVE && spread.is_finite()).then_some((center, spread))
 }
 
