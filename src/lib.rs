@@ -38,6 +38,23 @@
 //!
 //! Rooms can be used one by one; which feature brings which, and what it needs, is in `docs/architecture.md`.
 
+/// Gives an enum a list of its values and a name for each: the word in files, on the command line and in messages.
+macro_rules! with_names {
+    ($kind:ident { $($value:ident = $name:literal),* $(,)? }) => {
+        impl $kind {
+            /// Every value, in order.
+            pub const ALL: [Self; [$($name),*].len()] = [$(Self::$value),*];
+
+            /// The name in files, on the command line and in messages.
+            pub const fn name(self) -> &'static str {
+                match self {
+                    $(Self::$value => $name,)*
+                }
+            }
+        }
+    };
+}
+
 pub mod bundle;
 pub mod camera;
 pub mod checks;

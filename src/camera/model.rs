@@ -13,15 +13,9 @@ macro_rules! models {
             $($(#[$doc])* $variant,)*
         }
 
+        with_names!(Model { $($variant = $name),* });
+
         impl Model {
-            /// All of them, in the order of their ids.
-            pub const ALL: &[Self] = &[$(Self::$variant),*];
-
-            /// As in COLMAP's text files.
-            pub fn name(self) -> &'static str {
-                match self { $(Self::$variant => $name,)* }
-            }
-
             /// As in COLMAP's binary files.
             pub fn id(self) -> i32 {
                 match self { $(Self::$variant => $id,)* }
@@ -77,12 +71,12 @@ models! {
 impl Model {
     /// The model of a name.
     pub fn by_name(name: &str) -> Option<Self> {
-        Self::ALL.iter().copied().find(|model| model.name() == name)
+        Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
     /// The model of a number.
     pub fn by_id(id: i32) -> Option<Self> {
-        Self::ALL.iter().copied().find(|model| model.id() == id)
+        Self::ALL.into_iter().find(|model| model.id() == id)
     }
 
     /// The smallest model that holds a camera: with one focal length if the camera has one.

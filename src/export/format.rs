@@ -36,6 +36,22 @@ pub enum Format {
     TrajectoriesV2,
 }
 
+with_names!(Format {
+    Csv = "csv",
+    GeoJson = "geojson",
+    Kml = "kml",
+    Gpx = "gpx",
+    Tum = "tum",
+    Kitti = "kitti",
+    Gltf = "gltf",
+    Video = "video",
+    Sumo = "sumo",
+    LevelX = "levelx",
+    Cot = "cot",
+    Colmap = "colmap",
+    TrajectoriesV2 = "trajectories-v2",
+});
+
 /// Requirement of a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
@@ -50,36 +66,14 @@ pub enum Need {
 }
 
 impl Format {
-    /// Every format with its name on the command line and its requirement, in the order in which they are written.
-    const TABLE: [(Self, &str, Need); 13] = [
-        (Self::Csv, "csv", Need::Nothing),
-        (Self::GeoJson, "geojson", Need::Map),
-        (Self::Kml, "kml", Need::Map),
-        (Self::Gpx, "gpx", Need::Map),
-        (Self::Tum, "tum", Need::Nothing),
-        (Self::Kitti, "kitti", Need::Nothing),
-        (Self::Gltf, "gltf", Need::Nothing),
-        (Self::Video, "video", Need::Pictures),
-        (Self::Sumo, "sumo", Need::Meters),
-        (Self::LevelX, "levelx", Need::Meters),
-        (Self::Cot, "cot", Need::Map),
-        (Self::Colmap, "colmap", Need::Pictures),
-        (Self::TrajectoriesV2, "trajectories-v2", Need::Nothing),
-    ];
-
-    /// Every format, in the order in which they are written.
-    pub fn all() -> [Self; 13] {
-        Self::TABLE.map(|(format, ..)| format)
-    }
-
-    /// The name on the command line.
-    pub fn name(self) -> &'static str {
-        Self::TABLE[self as usize].1
-    }
-
     /// Requirement.
     pub fn need(self) -> Need {
-        Self::TABLE[self as usize].2
+        match self {
+            Self::Csv | Self::Tum | Self::Kitti | Self::Gltf | Self::TrajectoriesV2 => Need::Nothing,
+            Self::GeoJson | Self::Kml | Self::Gpx | Self::Cot => Need::Map,
+            Self::Video | Self::Colmap => Need::Pictures,
+            Self::Sumo | Self::LevelX => Need::Meters,
+        }
     }
 
     /// Returns true if it can be made of cameras and points alone.
@@ -118,7 +112,7 @@ impl Format {
     /// Which name is none of them, and which there are.
     pub fn listed(list: &str) -> Result<Vec<Self>, String> {
         if list.trim() == "all" {
-            return Ok(Self::all().into_iter().filter(|format| *format != Self::TrajectoriesV2).collect());
+            return Ok(Self::ALL.into_iter().filter(|format| *format != Self::TrajectoriesV2).collect());
         }
         let mut formats = list.split(',').map(str::parse).collect::<Result<Vec<Self>, String>>()?;
         formats.sort_unstable();
@@ -137,9 +131,9 @@ impl FromStr for Format {
     type Err = String;
 
     fn from_str(text: &str) -> Result<Self, String> {
-        let found = Self::all().into_iter().find(|format| format.name() == text.trim());
+        let found = Self::ALL.into_iter().find(|format| format.name() == text.trim());
         found.ok_or_else(|| {
-            let names = Self::all().map(Self::name).join(", ");
+            let names = Self::ALL.map(Self::name).join(", ");
             format!("'{}': unknown format; expected {names}, or all", text.trim())
         })
     }
@@ -151,9 +145,9 @@ mod tests {
 
     #[test]
     fn lists_are_read_and_unknown_names_are_refused_with_the_list() {
-        assert!(Format::all().is_sorted(), "the table has the order of the formats");
+        assert!(Format::ALL.is_sorted(), "the table has the order of the formats");
         assert_eq!(Format::listed("video, csv,csv"), Ok(vec![Format::Csv, Format::Video]));
-        assert_eq!(Format::listed("all").unwrap().len(), Format::all().len() - 1);
+        assert_eq!(Format::listed("all").unwrap().len(), Format::ALL.len() - 1);
         assert_eq!(Format::listed("trajectories-v2"), Ok(vec![Format::TrajectoriesV2]));
         for wrong in ["", "xlsx", "csv,", "CSV", "csv,all"] {
             let refusal = Format::listed(wrong).unwrap_err();

@@ -15,9 +15,9 @@ fn every_format_of_a_run_is_written() {
     let source = Source::open(&results.input, &Options::default()).unwrap();
     let pictures = Pictures::new(&folder, Ok(&source), &|| ());
     let target = || Ok(Target::in_run(&folder)?);
-    let exported = write(&results, &Format::all(), MissingFormats::ForAll, None, &pictures, target).unwrap();
+    let exported = write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, target).unwrap();
     for left in &exported.passed_over {
         assert_eq!(results.map().is_none(), left.reason.contains("no georeferenced positions"), "{left:?}");
     }
-    assert_eq!(exported.written.len() + exported.passed_over.len(), Format::all().len());
+    assert_eq!(exported.written.len() + exported.passed_over.len(), Format::ALL.len());
 }

@@ -92,7 +92,7 @@ pub struct SkippedFormat {
 /// Exported files.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Exported {
-    /// In the order of [`Format::all`].
+    /// In the order of [`Format::ALL`].
     pub written: Vec<Written>,
     /// Formats that could not be made of these results.
     pub passed_over: Vec<SkippedFormat>,
@@ -265,10 +265,10 @@ mod tests {
         let into = folder.path().join("exported");
         let all = || {
             let target = || Ok(Target::at(&into, &[("OUT", run.root())])?);
-            write(&results, &Format::all(), MissingFormats::ForAll, None, &pictures, target)
+            write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, target)
         };
         let exported = all().unwrap();
-        assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::all().len(), 0));
+        assert_eq!((exported.written.len(), exported.passed_over.len()), (Format::ALL.len(), 0));
         assert!(exported.written.iter().flat_map(|written| &written.files).all(|file| file.exists()));
         let first = bytes_below(&into);
         all().unwrap();
@@ -312,7 +312,7 @@ mod tests {
         assert!(refused(&[Format::Video]).contains("--input"));
         assert!(!into.exists());
         let exported =
-            write(&results, &Format::all(), MissingFormats::ForAll, None, &pictures, || Ok(Target::at(&into, &[])?))
+            write(&results, &Format::ALL, MissingFormats::ForAll, None, &pictures, || Ok(Target::at(&into, &[])?))
                 .unwrap();
         let passed: Vec<_> = exported.passed_over.iter().map(|left| left.format).collect();
         assert_eq!(passed, ["geojson", "kml", "gpx", "video", "sumo", "levelx", "cot", "colmap"]);

@@ -43,11 +43,8 @@ impl FromStr for KnownLength {
         let (name, length) = rest.split_once('=').ok_or_else(form)?;
         let id: u32 = id.trim().parse().ok().filter(|id| *id > 0).ok_or_else(form)?;
         let dimension = match name.trim() {
-            "length" => Dimension::Length,
-            "width" => Dimension::Width,
-            "height" => Dimension::Height,
             "wheelbase" | "wheel-base" => return Err(KnownLengthError::WheelBase),
-            _ => return Err(form()),
+            name => Dimension::ALL.into_iter().find(|dimension| dimension.name() == name).ok_or_else(form)?,
         };
         Ok(Self { object: ObjectId(id), dimension, length: length.parse().map_err(|_| form())? })
     }

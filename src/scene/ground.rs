@@ -6,7 +6,7 @@ use nalgebra::{Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{FrameId, ObjectId, Point3dId, with_names};
+use super::{FrameId, ObjectId, Point3dId};
 
 /// Where the ground labels came from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]

@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel, with_names};
+use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
 use crate::math::Sim3;
 use crate::math::rounding::counted;
 

@@ -10,7 +10,6 @@ use nalgebra::{Quaternion, UnitQuaternion, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::with_names;
 use crate::math::Sim3;
 
 /// On what metres rest.

@@ -11,7 +11,6 @@ mod ground_track;
 mod mask;
 mod mesh;
 mod metric;
-mod names;
 mod position;
 mod reconstruction;
 mod scale_method;
@@ -34,7 +33,6 @@ pub use metric::{
     ClockZone, Dates, Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame,
     MetricPose, MetricShare, MetricStd, MetricVerdict, Motion, Travel, sources_in_words,
 };
-pub(crate) use names::with_names;
 pub use position::Position;
 pub use reconstruction::{
     CameraForm, CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement,

@@ -4,8 +4,6 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use super::with_names;
-
 /// Declares [`Topic`] from its variants and their sections.
 macro_rules! topics {
     ($($name:ident: $anchor:literal,)*) => {

@@ -26,6 +26,18 @@ pub enum Kind {
     Gpmf,
 }
 
+with_names!(Kind {
+    Dji = "drone subtitles",
+    Gpx = "GPX",
+    Kml = "KML",
+    Igc = "IGC",
+    ArduPilot = "ArduPilot log",
+    Nmea = "NMEA 0183",
+    Csv = "CSV",
+    Photograph = "a photograph",
+    Gpmf = "GPMF",
+});
+
 /// The beginning of a file, by which formats are recognized.
 pub(super) fn head_of(bytes: &[u8]) -> &[u8] {
     &bytes[..bytes.len().min(1 << 16)]
@@ -61,20 +73,5 @@ impl Kind {
             is_dji |= block.is_ok_and(|block| dji::recognize(&block.lines.join(" ")).is_some());
         });
         is_dji.then_some(Self::Dji)
-    }
-
-    /// Name in messages.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Dji => "drone subtitles",
-            Self::Gpx => "GPX",
-            Self::Kml => "KML",
-            Self::Igc => "IGC",
-            Self::ArduPilot => "ArduPilot log",
-            Self::Nmea => "NMEA 0183",
-            Self::Csv => "CSV",
-            Self::Photograph => "a photograph",
-            Self::Gpmf => "GPMF",
-        }
     }
 }

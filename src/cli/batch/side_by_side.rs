@@ -218,7 +218,7 @@ fn said(fate: &Fate, name: &str, took: Option<Duration>, number: usize, all: usi
     let took = took.map(|took| format!(" after {:.1} s", took.as_secs_f64()));
     let before = if fate.state == State::Done { " before" } else { "" };
     let reason = fate.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-    let (state, took) = (fate.state.words(), took.unwrap_or_else(|| before.to_owned()));
+    let (state, took) = (fate.state.name(), took.unwrap_or_else(|| before.to_owned()));
     format!("[{number}/{all}] {name} {state}{took}{reason}")
 }
 

@@ -34,20 +34,14 @@ pub(super) enum State {
     Missing,
 }
 
-impl State {
-    const ALL: [Self; 6] = [Self::Done, Self::Failed, Self::Running, Self::ToGoOn, Self::Outdated, Self::Missing];
-
-    pub(super) fn words(self) -> &'static str {
-        match self {
-            Self::Done => "done",
-            Self::Failed => "failed",
-            Self::Running => "running",
-            Self::ToGoOn => "to go on",
-            Self::Outdated => "outdated",
-            Self::Missing => "missing",
-        }
-    }
-}
+with_names!(State {
+    Done = "done",
+    Failed = "failed",
+    Running = "running",
+    ToGoOn = "to go on",
+    Outdated = "outdated",
+    Missing = "missing",
+});
 
 /// State of a job of the list.
 #[derive(Clone, Debug, PartialEq)]
@@ -88,7 +82,7 @@ impl Fate {
 
     fn line(&self, name: &str) -> String {
         let reason = self.reason.as_ref().map_or_else(String::new, |reason| format!(": {reason}"));
-        format!("{:>6}  {:<8}  {name}{reason}\n", self.index, self.state.words())
+        format!("{:>6}  {:<8}  {name}{reason}\n", self.index, self.state.name())
     }
 }
 
@@ -172,7 +166,7 @@ impl<'a> AllJobs<'a> {
 }
 
 fn counts(fates: &[Fate]) -> serde_json::Map<String, Value> {
-    State::ALL.into_iter().map(|state| (state.words().replace(' ', "_"), json!(number(fates, state)))).collect()
+    State::ALL.into_iter().map(|state| (state.name().replace(' ', "_"), json!(number(fates, state)))).collect()
 }
 
 fn number(fates: &[Fate], state: State) -> usize {
@@ -182,7 +176,7 @@ fn number(fates: &[Fate], state: State) -> usize {
 /// Numbers of jobs in each state, in words.
 pub(super) fn counted(fates: &[Fate]) -> String {
     let counts = State::ALL.into_iter().map(|state| (state, number(fates, state))).filter(|(_, number)| *number > 0);
-    counts.map(|(state, number)| format!("{number} {}", state.words())).collect::<Vec<_>>().join(", ")
+    counts.map(|(state, number)| format!("{number} {}", state.name())).collect::<Vec<_>>().join(", ")
 }
 
 #[cfg(test)]

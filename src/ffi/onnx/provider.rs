@@ -30,25 +30,18 @@ pub enum Provider {
     Rust,
 }
 
+with_names!(Provider {
+    Cpu = "cpu",
+    Cuda = "cuda",
+    Tensorrt = "tensorrt",
+    Migraphx = "migraphx",
+    Openvino = "openvino",
+    Xnnpack = "xnnpack",
+    Acl = "acl",
+    Rust = "rust",
+});
+
 impl Provider {
-    /// All of them.
-    pub const ALL: [Self; 8] =
-        [Self::Cpu, Self::Cuda, Self::Tensorrt, Self::Migraphx, Self::Openvino, Self::Xnnpack, Self::Acl, Self::Rust];
-
-    /// Name in options and files.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Cpu => "cpu",
-            Self::Cuda => "cuda",
-            Self::Tensorrt => "tensorrt",
-            Self::Migraphx => "migraphx",
-            Self::Openvino => "openvino",
-            Self::Xnnpack => "xnnpack",
-            Self::Acl => "acl",
-            Self::Rust => "rust",
-        }
-    }
-
     /// Error of a build without the implementation.
     pub(super) fn not_built(self) -> OnnxError {
         let feature = if self == Self::Rust { "networks-rust" } else { "onnxruntime" };

@@ -38,16 +38,9 @@ pub enum Dimension {
     Height,
 }
 
-impl Dimension {
-    /// The name in files and on the command line.
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Length => "length",
-            Self::Width => "width",
-            Self::Height => "height",
-        }
-    }
+with_names!(Dimension { Length = "length", Width = "width", Height = "height" });
 
+impl Dimension {
     /// Its place in an array of length, width and height.
     fn index(self) -> usize {
         self as usize

@@ -2,7 +2,7 @@
 
 use super::{GroundLabels, Options};
 use crate::checks::OptionError;
-use crate::scene::{ScaleMethod, with_names};
+use crate::scene::ScaleMethod;
 
 /// A whole method, from features to the scale ratio.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -143,7 +143,7 @@ fn every_camera_model_goes_through_text_and_binary() {
     let mut model = Reconstruction::default();
     for (k, form) in (1..).zip(Model::ALL) {
         let params: Vec<f64> = (0..form.num_params()).map(|i| 2.0 + 0.125 * i as f64).collect();
-        let (camera, form) = camera_model::camera(*form, 8, 6, params);
+        let (camera, form) = camera_model::camera(form, 8, 6, params);
         model.cameras.insert(CameraId(k), camera);
         model.camera_forms.insert(CameraId(k), form);
     }

@@ -39,20 +39,22 @@ pub enum Format {
     Ply,
 }
 
+with_names!(Format {
+    ColmapText = "COLMAP (text)",
+    ColmapBinary = "COLMAP (binary)",
+    OpenMvg = "OpenMVG",
+    OpenSfm = "OpenSfM",
+    Nerfstudio = "nerfstudio",
+    Nvm = "NVM",
+    Bundler = "Bundler",
+    Tum = "TUM",
+    Kitti = "KITTI",
+    Ply = "PLY",
+});
+
 impl fmt::Display for Format {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::ColmapText => "COLMAP (text)",
-            Self::ColmapBinary => "COLMAP (binary)",
-            Self::OpenMvg => "OpenMVG",
-            Self::OpenSfm => "OpenSfM",
-            Self::Nerfstudio => "nerfstudio",
-            Self::Nvm => "NVM",
-            Self::Bundler => "Bundler",
-            Self::Tum => "TUM",
-            Self::Kitti => "KITTI",
-            Self::Ply => "PLY",
-        })
+        f.write_str(self.name())
     }
 }
 

@@ -212,7 +212,7 @@ fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> V
         let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(1e-3 * value);
         Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std, is_unconfirmed })
     };
-    [Dimension::Length, Dimension::Width, Dimension::Height].into_iter().filter_map(extent).collect()
+    Dimension::ALL.into_iter().filter_map(extent).collect()
 }
 
 #[cfg(test)]
