@@ -66,7 +66,7 @@ pub use ground_constrained_poses::ground_constrained_poses;
 pub use ground_track::{ContactEvidence, Contacts, FocalError, Outlines, contacts, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
-pub use joint::{Grounded, Joint, JointOptions, joint};
+pub use joint::{Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
 pub use relative_motion::{RelativeMotion, motion_by_shaking};

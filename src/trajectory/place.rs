@@ -11,7 +11,7 @@ use nalgebra::Matrix3;
 
 use super::estimate::{estimate_scale, joint_estimate, ratios_of, references, with_focal};
 use super::pose_error;
-use super::{Body, Grounded, Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
+use super::{Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod};
 
 /// Where an object's model comes from.
@@ -88,7 +88,7 @@ pub struct AdjustmentFigures {
 pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
     let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
-    let adjustment = match is_adjusted.then(|| joint(&evidence.grounded(), &as_it_is, options)) {
+    let adjustment = match is_adjusted.then(|| joint(evidence, &as_it_is, options)) {
         Some(Ok(found)) => return evidence.adjusted(found, &as_it_is, options),
         Some(Err(error)) => Adjustment::Failed(error),
         None => Adjustment::None,
@@ -103,12 +103,6 @@ pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
 }
 
 impl Evidence<'_> {
-    fn grounded(&self) -> Grounded<'_> {
-        let Self { background, object, planes, silhouettes, frames, .. } = *self;
-        let body = Body::of_class(&self.description.class);
-        Grounded { background, object, planes, silhouettes, frames, body }
-    }
-
     /// The object after an adjustment; `as_it_was` are the views of the model before.
     fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> PlacedObject {
         let views = Views::new(self.background, &found.object, self.planes, options);

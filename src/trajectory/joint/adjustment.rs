@@ -4,16 +4,16 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Point3, Unit, UnitQuaternion, Vector3};
 
+use super::JointOptions;
 use super::precision::residuals;
-use super::{Grounded, JointOptions};
 use crate::bundle::{self, BundleError, CameraBlock, PlanePrior, PointPrior, Problem, Wanted, Whitening};
 use crate::math::{RobustLoss, STD_PER_MAD, Sim3, median, umeyama};
 use crate::scene::{FrameId, Image, Reconstruction};
 use crate::trajectory::assemble::poses;
 use crate::trajectory::views::{common_height_std, lever, mean_normal};
 use crate::trajectory::{
-    Contact, ContactOptions, LeastSquares, Options, ScaleError, Views, contact, forward_axis, intersection,
-    least_squares, object_center,
+    Body, Contact, ContactOptions, Evidence, LeastSquares, Options, ScaleError, Views, contact, forward_axis,
+    intersection, least_squares, object_center,
 };
 
 /// Standard deviation, relative to it, up to which the ratio of all frames is a better start than contact.
@@ -54,7 +54,7 @@ fn well_seen(problem: &Problem) -> Vec<usize> {
 /// An object's reconstruction with the ground at z = 0, in the background's unit.
 #[derive(Clone)]
 pub(super) struct Adjustment<'a> {
-    grounded: &'a Grounded<'a>,
+    pub(super) evidence: &'a Evidence<'a>,
     options: &'a JointOptions,
     contact_options: ContactOptions,
     pub(super) object: Reconstruction,
@@ -69,7 +69,7 @@ pub(super) struct Adjustment<'a> {
 }
 
 impl<'a> Adjustment<'a> {
-    pub(super) fn new(grounded: &'a Grounded<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
+    pub(super) fn new(evidence: &'a Evidence<'a>, views: &Views, options: &'a Options) -> Result<Self, ScaleError> {
         let (up, _) = mean_normal(views).ok_or(ScaleError::NoMeanNormal { num_views: views.views.len() })?;
         let all_frames = match views.camera_hovers {
             true => Err(ScaleError::CameraHovers),
@@ -80,7 +80,7 @@ impl<'a> Adjustment<'a> {
         let spread = all_frames.as_ref().map_or(f64::INFINITY, |found| found.residual_std);
         let level = UnitQuaternion::rotation_between(&up, &Vector3::z())
             .unwrap_or_else(|| UnitQuaternion::from_euler_angles(std::f64::consts::PI, 0.0, 0.0));
-        let center = object_center(grounded.object);
+        let center = object_center(evidence.object);
         let heights: Vec<f64> =
             views.views.iter().map(|view| view.camera_height + ratio * view.offset(&center)).collect();
         let height = median(heights).unwrap_or(0.0);
@@ -88,13 +88,13 @@ impl<'a> Adjustment<'a> {
         let [least, most] = options.sigma_distance;
         let wander = (spread / camera_height).max(least).min(most);
         let lift = Vector3::z() * height - level * (center.coords * ratio);
-        let mut object = grounded.object.clone();
+        let mut object = evidence.object.clone();
         object.transform(&Sim3::new(ratio, level, lift));
         let residuals = residuals(&object).flat_map(|(_, residual)| [residual.x.abs(), residual.y.abs()]).collect();
         let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
-        let contact_options = grounded.body.contact(&options.contact);
-        Ok(Self { grounded, options, contact_options, object, noise_px, wander, camera_height, tolerance: TO_THE_END })
+        let contact_options = Body::of_class(&evidence.description.class).contact(&options.contact);
+        Ok(Self { evidence, options, contact_options, object, noise_px, wander, camera_height, tolerance: TO_THE_END })
     }
 
     /// The same adjustment of a part of the object.
@@ -107,10 +107,6 @@ impl<'a> Adjustment<'a> {
         Self { tolerance: OF_A_PART, ..self.with_object(object) }
     }
 
-    pub(super) fn grounded(&self) -> &'a Grounded<'a> {
-        self.grounded
-    }
-
     /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.
     pub(super) fn in_doubt(&self) -> Self {
         Self { wander: self.options.max_drift(), ..self.clone() }
@@ -118,7 +114,7 @@ impl<'a> Adjustment<'a> {
 
     /// Where the outlines put the ground.
     pub(super) fn contact(&self) -> Result<Contact, ScaleError> {
-        contact(&self.object, self.grounded.silhouettes, self.forward(), &self.contact_options).ok_or_else(|| {
+        contact(&self.object, self.evidence.silhouettes, self.forward(), &self.contact_options).ok_or_else(|| {
             let num_points = self.object.points.len();
             ScaleError::NoSolidPoints { num_points, min_track: self.options.contact.min_track }
         })
@@ -126,7 +122,7 @@ impl<'a> Adjustment<'a> {
 
     /// The vehicle's forward direction, from its way through the background.
     fn forward(&self) -> Option<Unit<Vector3<f64>>> {
-        let Grounded { background, frames, .. } = self.grounded;
+        let Evidence { background, frames, .. } = self.evidence;
         forward_axis(&poses(background, &self.object, 1.0, frames))
     }
 
@@ -176,7 +172,7 @@ impl<'a> Adjustment<'a> {
 
     /// Plane i below the middle of the vehicle.
     fn planes(&self) -> Vec<PlanePrior> {
-        let Grounded { background, planes, .. } = self.grounded;
+        let Evidence { background, planes, .. } = self.evidence;
         let middle = object_center(&self.object);
         let pose_of: BTreeMap<&str, usize> =
             self.object.images.values().map(|image| image.name.as_str()).zip(0..).collect();
@@ -210,7 +206,7 @@ impl<'a> Adjustment<'a> {
 
     /// Standard deviation of the ground's height that all frames have in common, as a share of the camera's height.
     pub(super) fn common_height_std(&self) -> f64 {
-        let share = common_height_std(self.grounded.planes.values()) / self.camera_height;
+        let share = common_height_std(self.evidence.planes.values()) / self.camera_height;
         if share.is_finite() { share } else { 0.0 }
     }
 

@@ -18,18 +18,16 @@ mod surface;
 #[cfg(test)]
 mod tests;
 
-use std::collections::BTreeMap;
-
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::adjustment::Adjustment;
 use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
 use self::surface::draw_onto_surface;
-use super::{Body, Contact, ContactOptions, Options, ScaleError, Silhouette, Views, object_center};
+use super::{Contact, ContactOptions, Evidence, Options, ScaleError, Views, object_center};
 use crate::checks::{Checked, OptionError, under, within};
 use crate::math::median;
-use crate::scene::{Frame, FrameId, GroundPlane, Reconstruction, ScaleShares};
+use crate::scene::{Reconstruction, ScaleShares};
 
 /// Most rounds of adjustment and new contact; it stops earlier when the contact stays.
 const MAX_ROUNDS: usize = 5;
@@ -96,23 +94,6 @@ impl JointOptions {
     }
 }
 
-/// Input on one object and the place around it.
-#[derive(Clone, Copy, Debug)]
-pub struct Grounded<'a> {
-    /// The background's reconstruction.
-    pub background: &'a Reconstruction,
-    /// The object's.
-    pub object: &'a Reconstruction,
-    /// The local plane of each frame, in the background's frame.
-    pub planes: &'a BTreeMap<FrameId, GroundPlane>,
-    /// The object's outlines.
-    pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
-    /// All frames.
-    pub frames: &'a [Frame],
-    /// Kind of body.
-    pub body: Body,
-}
-
 /// An object's reconstruction that stands on the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Joint {
@@ -135,15 +116,15 @@ pub struct Joint {
 
 /// Adjusts an object's reconstruction together with the ground.
 ///
-/// * `views` – of `grounded.object`.
+/// * `views` – of `evidence.object`.
 /// * `options` – besides those of `joint` itself those of `least_squares`, from which the adjustment starts.
 ///
 /// # Errors
 /// [`ScaleError`] where there are fewer than three frames with a plane, no points, nothing to begin with, or where
 /// image positions and ground contradict one another.
-pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
+pub fn joint(evidence: &Evidence, views: &Views, options: &Options) -> Result<Joint, ScaleError> {
     views.require(3)?;
-    let mut adjustment = Adjustment::new(grounded, views, options)?;
+    let mut adjustment = Adjustment::new(evidence, views, options)?;
     let before_px = median_error_px(&adjustment.object).unwrap_or(0.0);
     if options.joint.align_sub_maps {
         settle_sub_maps(&mut adjustment, options);
@@ -155,7 +136,7 @@ pub fn joint(grounded: &Grounded, views: &Views, options: &Options) -> Result<Jo
         return Err(ScaleError::GroundContradicts { before_px, after_px });
     }
     let shares = shares(&adjustment, &contact)?;
-    let object_from_ground = adjustment.back_to(grounded.object).ok_or(ScaleError::NoSimilarity)?;
+    let object_from_ground = adjustment.back_to(evidence.object).ok_or(ScaleError::NoSimilarity)?;
     let mut object = adjustment.object;
     object.transform(&object_from_ground);
     let radius = object_radius(&object);
@@ -180,7 +161,7 @@ fn settle_sub_maps(adjustment: &mut Adjustment, options: &Options) {
                 Err(error) => tracing::debug!("sub-map of {} images: {error}", sub_map.images.len()),
             }
         }
-        adjustment.object = sub_maps::join(sub_maps, adjustment.grounded(), options);
+        adjustment.object = sub_maps::join(sub_maps, adjustment.evidence, options);
     }
 }
 

@@ -8,13 +8,12 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::Grounded;
 use super::spread::without_images;
 use crate::math::Sim3;
 use crate::scene::{ImageId, ObjectId, Point3dId, Reconstruction, ScaleEstimate, ScaleMethod};
-use crate::trajectory::Options;
 use crate::trajectory::assemble::{ObjectDescription, assemble};
 use crate::trajectory::extents::{FittedBody, Subject};
+use crate::trajectory::{Body, Evidence, Options};
 
 /// Sub-maps of an object, in the order of their images; the object itself where no gap divides it.
 pub(super) fn split(object: &Reconstruction) -> Vec<Reconstruction> {
@@ -25,8 +24,8 @@ pub(super) fn split(object: &Reconstruction) -> Vec<Reconstruction> {
 }
 
 /// Joins sub-maps whose ground is z = 0, in the background's unit. One to which no body can be fitted keeps its poses.
-pub(super) fn join(mut sub_maps: Vec<Reconstruction>, grounded: &Grounded, options: &Options) -> Reconstruction {
-    let of_known_size = |sub_map: &Reconstruction, known| fitted_body(sub_map, known, grounded, options);
+pub(super) fn join(mut sub_maps: Vec<Reconstruction>, evidence: &Evidence, options: &Options) -> Reconstruction {
+    let of_known_size = |sub_map: &Reconstruction, known| fitted_body(sub_map, known, evidence, options);
     let bodies = sub_maps.iter().map(|sub_map| of_known_size(sub_map, None));
     let best = bodies.flatten().min_by(|a, b| a.length_std().total_cmp(&b.length_std()));
     let mut joined = Reconstruction::default();
@@ -57,10 +56,11 @@ pub(super) fn join(mut sub_maps: Vec<Reconstruction>, grounded: &Grounded, optio
 fn fitted_body(
     sub_map: &Reconstruction,
     known: Option<&FittedBody>,
-    grounded: &Grounded,
+    evidence: &Evidence,
     options: &Options,
 ) -> Option<FittedBody> {
-    let Grounded { background, planes, silhouettes, frames, body, .. } = *grounded;
+    let Evidence { background, planes, silhouettes, frames, .. } = *evidence;
+    let body = Body::of_class(&evidence.description.class);
     let anonymous = ObjectDescription { id: ObjectId(0), class: String::new(), confidence: 1.0 };
     let scale = ScaleEstimate::new(1.0, ScaleMethod::Joint);
     let trajectory = &assemble(anonymous, background, sub_map, scale, frames);

@@ -1,8 +1,10 @@
+use std::collections::BTreeMap;
+
 use nalgebra::{Point2, Vector3};
 
 use super::*;
 use crate::math::Rigid3;
-use crate::scene::ObjectId;
+use crate::scene::{FrameId, ObjectId};
 use crate::synthetic::drive::{Drive, Noise, Options, drive};
 use crate::trajectory::contact::Silhouette;
 use crate::trajectory::{Evidence, ModelOrigin, ObjectDescription, place};
@@ -20,18 +22,25 @@ fn silhouettes(world: &Drive) -> BTreeMap<FrameId, Silhouette> {
     world.object.images.iter().map(|(id, image)| (id.frame(), hull(image))).collect()
 }
 
+fn evidence<'a>(
+    world: &'a Drive,
+    object: &'a Reconstruction,
+    silhouettes: &'a BTreeMap<FrameId, Silhouette>,
+) -> Evidence<'a> {
+    let description = ObjectDescription { id: ObjectId(1), class: "car".to_owned(), confidence: 1.0 };
+    let (origin, focal_std) = (ModelOrigin::Reconstructed, Some(0.01));
+    let Drive { background, planes, frames, .. } = world;
+    Evidence { description, origin, background, object, planes, silhouettes, frames, focal_std }
+}
+
 fn solve(
     world: &Drive,
     object: &Reconstruction,
     silhouettes: &BTreeMap<FrameId, Silhouette>,
 ) -> Result<Joint, ScaleError> {
-    let Drive { background, planes, frames, .. } = world;
-    let views = Views::new(background, object, planes, &crate::trajectory::Options::default());
-    joint(
-        &Grounded { background, object, planes, silhouettes, frames, body: Body::Car },
-        &views,
-        &crate::trajectory::Options::default(),
-    )
+    let options = crate::trajectory::Options::default();
+    let views = Views::new(&world.background, object, &world.planes, &options);
+    joint(&evidence(world, object, silhouettes), &views, &options)
 }
 
 /// Relative error of the ratio for the size that the object has come out with.
@@ -140,23 +149,13 @@ fn options_that_pass_the_check_do_no_harm() {
         Options { noise: NOISE, num_frames: 8, num_object_points: 60, num_ground_points: 100, ..Options::default() };
     let world = drive(&small, 1);
     let silhouettes = silhouettes(&world);
-    let description = ObjectDescription { id: ObjectId(1), class: "car".to_owned(), confidence: 1.0 };
+    let evidence = evidence(&world, &world.object, &silhouettes);
     let mut num_passed = 0;
     for (changed, options) in crate::checks::testing::variations(&crate::trajectory::Options::default()) {
         if options.check().is_err() {
             continue;
         }
         num_passed += 1;
-        let evidence = Evidence {
-            description: description.clone(),
-            origin: ModelOrigin::Reconstructed,
-            background: &world.background,
-            object: &world.object,
-            planes: &world.planes,
-            silhouettes: &silhouettes,
-            frames: &world.frames,
-            focal_std: Some(0.01),
-        };
         if let Ok(trajectory) = place(&evidence, &options).trajectory {
             assert!(trajectory.scale.ratio > 0.0 && trajectory.scale.ratio.is_finite(), "{changed}");
         }
