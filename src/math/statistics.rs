@@ -1,5 +1,7 @@
-//! Medians and other quantiles. Which of the two medians a place uses decides its last digits: they are not to be
-//! exchanged.
+//! Medians and other quantiles; the jackknife. Which of the two medians a place uses decides its last digits: they are
+//! not to be exchanged.
+
+use std::ops::Range;
 
 /// Standard deviation of a normal distribution over its median absolute deviation.
 pub const STD_PER_MAD: f64 = 1.4826;
@@ -48,6 +50,25 @@ pub fn student_4(x: f64) -> f64 {
     0.375 * (1.0 + 0.25 * x * x).powf(-2.5)
 }
 
+/// Groups of a jackknife, of which each is left out once.
+pub const JACKKNIFE_GROUPS: usize = 5;
+
+/// Ranges of the groups of a jackknife among `len` values in order.
+pub fn jackknife_groups(len: usize) -> impl Iterator<Item = Range<usize>> {
+    (0..JACKKNIFE_GROUPS).map(move |k| k * len / JACKKNIFE_GROUPS..(k + 1) * len / JACKKNIFE_GROUPS)
+}
+
+/// Standard deviation of an estimate, from its K values without each of K groups: σ² = (K − 1) / K · Σ (θ_k − θ̄)².
+///
+/// Delete-a-group jackknife; J. Shao and C. F. J. Wu, *A general theory for jackknife variance estimation*, Annals of
+/// Statistics 1989. `None` for fewer than three values.
+pub fn jackknife_std(values: &[f64]) -> Option<f64> {
+    let count = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / count;
+    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
+    (values.len() >= 3).then(|| ((count - 1.0) / count * squares).sqrt())
+}
+
 /// A standard deviation, raised to the least one. One that is no number stays none: `f64::max` would hide it.
 pub fn at_least(least: f64, std: f64) -> f64 {
     if std < least { least } else { std }
@@ -76,6 +97,17 @@ mod tests {
             [1.0, 2.0, 3.0, 5.0].map(Some)
         );
         assert_eq!((quantile(&mut [], 0.5), lower_quantile(&mut [], 0.5)), (None, None));
+    }
+
+    #[test]
+    fn the_jackknife_of_a_mean_is_its_standard_error() {
+        // Five groups of one number each: leaving one out in turn gives s² / n exactly.
+        let numbers = [0.3, -1.2, 0.7, 2.0, -0.4];
+        let mean = numbers.iter().sum::<f64>() / 5.0;
+        let of_mean = (numbers.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 4.0 / 5.0).sqrt();
+        let found = jackknife_std(&numbers.map(|x| (5.0 * mean - x) / 4.0));
+        assert!((found.unwrap() - of_mean).abs() < 1e-12);
+        assert_eq!(jackknife_std(&[0.1, 0.2]), None);
     }
 
     #[test]

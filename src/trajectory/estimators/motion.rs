@@ -12,14 +12,11 @@
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::Estimate;
-use crate::math::{centroid, median, quantile, quantile_range};
+use crate::math::{JACKKNIFE_GROUPS, centroid, jackknife_groups, jackknife_std, median, quantile, quantile_range};
 use crate::trajectory::{ScaleError, View, Views};
 
-/// Parts of a clip that are left out one by one for a standard deviation, as in `joint`.
-const NUM_GROUPS: usize = 5;
-
-/// Fewest frames: two for each part.
-const MIN_FRAMES: usize = 2 * NUM_GROUPS;
+/// Fewest frames: two for each group of the jackknife.
+const MIN_FRAMES: usize = 2 * JACKKNIFE_GROUPS;
 
 /// Size of a vector below which nothing but rounding is left of it, relative to the distance from camera to object:
 /// model files may be in single precision.
@@ -146,25 +143,16 @@ impl Motion {
         }
     }
 
-    /// An estimate with the standard deviation of its jackknife.
+    /// An estimate with its standard deviation: that of a jackknife of log r.
     ///
     /// # Errors
     /// [`ScaleError`] if the motion, or that of a part of the clip, leaves the ratio undetermined.
     pub(super) fn jackknifed(&self, of: impl Fn(&Self) -> Result<f64, ScaleError>) -> Result<Estimate, ScaleError> {
         let ratio = of(self)?;
-        Ok(Estimate::new(ratio, Some(self.jackknife(ratio, of)?)))
-    }
-
-    /// Standard deviation of a ratio, from its estimates without each of five parts of the clip: the delete-a-group
-    /// jackknife of log r (J. Shao and C. F. J. Wu, Annals of Statistics 1989).
-    fn jackknife(&self, ratio: f64, of: impl Fn(&Self) -> Result<f64, ScaleError>) -> Result<f64, ScaleError> {
-        let groups = (0..NUM_GROUPS).map(|k| k * self.len() / NUM_GROUPS..(k + 1) * self.len() / NUM_GROUPS);
+        let groups = jackknife_groups(self.len());
         let logs: Result<Vec<f64>, ScaleError> = groups.map(|group| Ok(of(&self.without(group))?.ln())).collect();
         let logs = logs.map_err(|_| ScaleError::Undetermined("no solution without a part of the clip"))?;
-        let count = NUM_GROUPS as f64;
-        let mean = logs.iter().sum::<f64>() / count;
-        let variance = (count - 1.0) / count * logs.iter().map(|log| (log - mean).powi(2)).sum::<f64>();
-        Ok(ratio * variance.sqrt())
+        Ok(Estimate::new(ratio, jackknife_std(&logs).map(|std| ratio * std)))
     }
 }
 

@@ -1,24 +1,16 @@
 //! Standard deviation of the scale ratio, with its sources.
 //!
 //! Errors on a vehicle are common to neighboring frames, so that the covariance of the adjustment, which takes them for
-//! independent, is too small. Here stretches of frames are left out in turn, and the object is adjusted again: with K
-//! stretches and θ_k the logarithm of the ratio without stretch k,
-//!
-//! ```text
-//! σ² = (K − 1) / K · Σ (θ_k − θ̄)²
-//! ```
-//!
-//! (delete-a-group jackknife; J. Shao and C. F. J. Wu, *A general theory for jackknife variance estimation*, Annals of
-//! Statistics 1989). Derivation and calibration: docs/maths/scale.md.
+//! independent, is too small. Here stretches of frames are left out in turn, and the object is adjusted again: σ is
+//! that of a jackknife of the logarithm of the ratio ([`jackknife_std`]). Derivation and calibration:
+//! docs/maths/scale.md.
 
 use std::collections::BTreeSet;
 
 use super::adjustment::Adjustment;
+use crate::math::{jackknife_groups, jackknife_std};
 use crate::scene::{ImageId, Reconstruction};
 use crate::trajectory::Contact;
-
-/// Stretches of frames of which each is left out once.
-const GROUPS: usize = 5;
 
 /// Observations per frame with which an object is adjusted without a stretch. In an adjustment those of a frame count
 /// as one or two independent ones anyway ([`JointOptions::independent_points`](super::JointOptions)), so that a hundred
@@ -29,11 +21,9 @@ const OBSERVATIONS_PER_FRAME: usize = 100;
 pub(super) fn over_frames(adjustment: &Adjustment) -> Option<f64> {
     let whole = thinned(&adjustment.object);
     let ids: Vec<ImageId> = whole.images.keys().copied().collect();
-    let without = |group: usize| {
-        let gone = &ids[group * ids.len() / GROUPS..(group + 1) * ids.len() / GROUPS];
-        without_images(&whole, &gone.iter().copied().collect())
-    };
-    jackknife((0..GROUPS).filter_map(|group| log_size(adjustment, without(group))))
+    let without = |group| without_images(&whole, &ids[group].iter().copied().collect());
+    let logs: Vec<f64> = jackknife_groups(ids.len()).filter_map(|group| log_size(adjustment, without(group))).collect();
+    jackknife_std(&logs)
 }
 
 /// The object with every n-th of its tracks, so that about [`OBSERVATIONS_PER_FRAME`] are left.
@@ -54,15 +44,6 @@ fn log_size(adjustment: &Adjustment, object: Reconstruction) -> Option<f64> {
     part.round(&contact).ok()?;
     let found = part.back_to(&adjustment.object)?;
     Some(-found.scale.ln()).filter(|log| log.is_finite())
-}
-
-/// `None` for fewer than three values.
-fn jackknife(values: impl Iterator<Item = f64>) -> Option<f64> {
-    let values: Vec<f64> = values.collect();
-    let count = values.len() as f64;
-    let mean = values.iter().sum::<f64>() / count;
-    let squares: f64 = values.iter().map(|value| (value - mean).powi(2)).sum();
-    (values.len() >= 3).then(|| ((count - 1.0) / count * squares).sqrt())
 }
 
 /// The object without some images and the points that fewer than three of the others observe.
@@ -92,17 +73,6 @@ mod tests {
         let num_seen: usize = thinned.points.values().map(|point| point.track.len()).sum();
         assert!(thinned.images.len() == object.images.len() && thinned.points.len() < object.points.len());
         assert!(num_seen <= 8 * OBSERVATIONS_PER_FRAME && num_seen > 4 * OBSERVATIONS_PER_FRAME, "{num_seen}");
-    }
-
-    #[test]
-    fn the_jackknife_of_a_mean_is_its_standard_error() {
-        // Five groups of one number each: leaving one out in turn gives s² / n exactly.
-        let numbers = [0.3, -1.2, 0.7, 2.0, -0.4];
-        let mean = numbers.iter().sum::<f64>() / 5.0;
-        let of_mean = (numbers.iter().map(|x| (x - mean).powi(2)).sum::<f64>() / 4.0 / 5.0).sqrt();
-        let found = jackknife(numbers.iter().map(|x| (5.0 * mean - x) / 4.0));
-        assert!((found.unwrap() - of_mean).abs() < 1e-12);
-        assert_eq!(jackknife([0.1, 0.2].into_iter()), None);
     }
 
     #[test]
