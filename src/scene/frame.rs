@@ -50,3 +50,14 @@ impl Frame {
         self.name.rsplit_once('.').map_or(self.name.as_str(), |(stem, _)| stem)
     }
 }
+
+/// Content of an entry in a text or telemetry track of a video.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Timed<T> {
+    /// Its beginning, seconds on the clock of the frames; negative before the first one.
+    pub start_s: f64,
+    /// Its end, seconds; no earlier than `start_s`, and equal to it where the file does not say.
+    pub end_s: f64,
+    /// As stored in the file.
+    pub content: T,
+}

@@ -7,12 +7,13 @@ use std::path::{Path, PathBuf};
 use super::bytes::bytes_of;
 use super::error::TelemetryError;
 use super::fix::{ClockKind, Log, Room};
-use super::gpmf::{self, Payload};
+use super::gpmf;
 use super::kind::head_of;
 use super::srt::{self, Subtitle};
 use super::text::decode;
 use super::{Kind, ardupilot, csv, dji, foreign, gpx, igc, kml, nmea, order, photographs};
 use crate::memory::MemoryLimit;
+use crate::scene::Timed;
 
 /// Reads a file; of a folder its photographs, in order of their names.
 ///
@@ -65,9 +66,12 @@ fn parse(bytes: &[u8], path: &Path, limit: MemoryLimit) -> Result<Log, Telemetry
 ///
 /// # Errors
 /// [`TelemetryError::NoFix`] where no entry holds a position.
-pub fn read_subtitles(entries: &[Subtitle], path: &Path) -> Result<Log, TelemetryError> {
+pub fn read_subtitles(entries: &[Timed<String>], path: &Path) -> Result<Log, TelemetryError> {
     let mut log = Log::default();
-    entries.iter().for_each(|block| dji::read_block(block, &mut log));
+    for (line, entry) in (1..).zip(entries) {
+        let lines = entry.content.lines().map(str::trim).collect();
+        dji::read_block(&Subtitle { line, start_s: Some(entry.start_s), lines }, &mut log);
+    }
     in_order(with_clock(log), Kind::Dji, path)
 }
 
@@ -78,7 +82,7 @@ pub fn read_subtitles(entries: &[Subtitle], path: &Path) -> Result<Log, Telemetr
 /// # Errors
 /// [`TelemetryError::NoFix`] where no payload holds a position; [`TelemetryError::TooMany`].
 pub fn read_gpmf(
-    payloads: &[Payload],
+    payloads: &[Timed<Vec<u8>>],
     settings: &[u8],
     path: &Path,
     limit: MemoryLimit,

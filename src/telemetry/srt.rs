@@ -6,13 +6,13 @@ use super::time::subtitle_s;
 
 /// One entry of a subtitle file or of a video's subtitle track.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Subtitle<'a> {
+pub(super) struct Subtitle<'a> {
     /// First line of its text in the file, from 1; of a track its number.
-    pub line: usize,
+    pub(super) line: usize,
     /// When it appears, seconds after the video's start; `None` where it has no time.
-    pub start_s: Option<f64>,
+    pub(super) start_s: Option<f64>,
     /// Text, line by line.
-    pub lines: Vec<&'a str>,
+    pub(super) lines: Vec<&'a str>,
 }
 
 /// Lines of one entry that are kept: cameras write a dozen.

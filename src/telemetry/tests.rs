@@ -8,6 +8,7 @@ use super::fix::Room;
 use super::gpmf::made;
 use super::*;
 use crate::memory::MemoryLimit;
+use crate::scene::Timed;
 
 /// One file of each format, written by hand.
 const SEEDS: [&str; 14] = [
@@ -209,9 +210,17 @@ fn a_clock_that_jumps_costs_the_fixes_that_it_dates_wrong() {
 fn the_track_of_a_video_reads_like_its_file() {
     let text = SEEDS[0];
     let mut entries = Vec::new();
-    srt::blocks(text, |block| entries.extend(block));
-    let from_track = read_subtitles(&entries, Path::new("a.mp4")).unwrap();
-    assert_eq!(from_track, read_text(text.as_bytes()).unwrap());
+    srt::blocks(text, |block| {
+        let block = block.unwrap();
+        let (start_s, end_s) = (block.start_s.unwrap(), f64::NAN);
+        entries.push(Timed { start_s, end_s, content: block.lines.join("\r\n ") });
+    });
+    let mut from_track = read_subtitles(&entries, Path::new("a.mp4")).unwrap();
+    let from_file = read_text(text.as_bytes()).unwrap();
+    for (number, (of_track, of_file)) in (1..).zip(from_track.fixes.iter_mut().zip(&from_file.fixes)) {
+        assert_eq!(std::mem::replace(&mut of_track.line, of_file.line), number);
+    }
+    assert_eq!(from_track, from_file);
     let error = read_subtitles(&[], Path::new("a.mp4")).unwrap_err().to_string();
     assert!(error.contains("a.mp4"), "{error}");
 }

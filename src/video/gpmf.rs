@@ -7,23 +7,13 @@ use super::mp4::head_at;
 use super::{VideoError, tracks};
 use crate::ffi::ffmpeg::StreamKind;
 use crate::files;
-
-/// A payload of the track.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Payload {
-    /// Its beginning, seconds on the clock of the frames.
-    pub start_s: f64,
-    /// Its end, seconds; no earlier than `start_s`.
-    pub end_s: f64,
-    /// Content.
-    pub data: Vec<u8>,
-}
+use crate::scene::Timed;
 
 /// Telemetry of a video.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gpmf {
     /// In the order of the file.
-    pub payloads: Vec<Payload>,
+    pub payloads: Vec<Timed<Vec<u8>>>,
     /// Content of the box `GPMF` in the container's user data; empty if there is none.
     pub settings: Vec<u8>,
 }
@@ -35,9 +25,7 @@ pub struct Gpmf {
 /// # Errors
 /// As [`subtitles`](super::subtitles).
 pub fn gpmf(path: &Path, track: Option<u32>) -> Result<Option<Gpmf>, VideoError> {
-    let payload = |_, data: &[u8], [start_s, end_s]: [f64; 2]| {
-        Some((Payload { start_s, end_s, data: data.to_vec() }, data.len()))
-    };
+    let payload = |_, data: &[u8]| Some((data.to_vec(), data.len()));
     let Some(payloads) = tracks::packets(path, track, |kind| kind == StreamKind::Gpmf, payload)? else {
         return Ok(None);
     };
@@ -96,7 +84,7 @@ mod tests {
         let bytes = with_telemetry(&[b"DEVC1".to_vec(), b"DEVC22".to_vec()], b"DEVC set");
         std::fs::write(&path, &bytes).unwrap();
         let found = gpmf(&path, None).unwrap().unwrap();
-        let payload = |start_s, data: &[u8]| Payload { start_s, end_s: start_s + 1.0, data: data.to_vec() };
+        let payload = |start_s, data: &[u8]| Timed { start_s, end_s: start_s + 1.0, content: data.to_vec() };
         assert_eq!(found.payloads, [payload(0.0, b"DEVC1"), payload(1.0, b"DEVC22")]);
         assert_eq!(found.settings, b"DEVC set");
         let golden = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/text_track.mp4");

@@ -41,12 +41,12 @@ mod tracks;
 pub use cameras::PictureCamera;
 pub use error::VideoError;
 pub use exif::{Taken, focal_px_of_equivalent, taken};
-pub use gpmf::{Gpmf, Payload, gpmf};
+pub use gpmf::{Gpmf, gpmf};
 pub use options::{Options, Position, Turning};
 pub use prefetch::Frames;
 pub use source::{Info, Kind, Scan, Source};
 pub use start::stated_start;
-pub use subtitles::{Subtitle, subtitles};
+pub use subtitles::subtitles;
 
 /// Silences what OpenCV and FFmpeg print by themselves; what is wrong comes back as a [`VideoError`]. A level that the
 /// user set for OpenCV in the environment is left alone.

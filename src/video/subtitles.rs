@@ -4,34 +4,24 @@ use std::path::Path;
 
 use super::{VideoError, tracks};
 use crate::ffi::ffmpeg::{StreamKind, TextCoding};
-
-/// A text and when it is to be shown.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Subtitle {
-    /// When it appears, seconds on the clock of the frames; negative where it comes before the first one.
-    pub start_s: f64,
-    /// When it goes, seconds; no earlier than `start_s`, and equal to it where the file does not say.
-    pub end_s: f64,
-    /// The text as it stands in the file, with line breaks and markup; bytes that are no UTF-8 are replaced.
-    pub text: String,
-}
+use crate::scene::Timed;
 
 /// Reads the first text track of a video, or a file of subtitles (SRT, WebVTT, ASS).
 ///
-/// Returns the texts in the order of the file; none if it has no text track. Nothing is decoded, so that it takes
-/// little more time than reading the file.
+/// Returns the texts in the order of the file, with line breaks and markup; bytes that are no UTF-8 are replaced. None if
+/// it has no text track. Nothing is decoded, so that it takes little more time than reading the file.
 ///
 /// * `track` – video track whose clock counts, as [`Options::track`](super::Options::track).
 ///
 /// # Errors
 /// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Playlist`],
 /// [`VideoError::Ffmpeg`], [`VideoError::TextTooLarge`].
-pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Subtitle>, VideoError> {
-    let subtitle = |kind, data: &[u8], [start_s, end_s]: [f64; 2]| {
+pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Timed<String>>, VideoError> {
+    let subtitle = |kind, data: &[u8]| {
         let StreamKind::Text(coding) = kind else { return None };
         let text = text(data, coding);
         let num_bytes = text.capacity();
-        (!text.is_empty()).then_some((Subtitle { start_s, end_s, text }, num_bytes))
+        (!text.is_empty()).then_some((text, num_bytes))
     };
     let is_text = |kind| matches!(kind, StreamKind::Text(_));
     Ok(tracks::packets(path, track, is_text, subtitle)?.unwrap_or_default())
@@ -76,7 +66,7 @@ mod tests {
         std::fs::write(&path, content).unwrap();
         let found = subtitles(&path, None).unwrap();
         assert_eq!(found.len(), 2, "{found:?}");
-        assert_eq!(found[0].text, "<font>GPS (8.5, 47.2, 18)</font>\nBAROMETER:91.2");
+        assert_eq!(found[0].content, "<font>GPS (8.5, 47.2, 18)</font>\nBAROMETER:91.2");
         assert!((found[0].end_s - 0.033).abs() < 1e-9 && (found[1].start_s - 1.5).abs() < 1e-9, "{found:?}");
         std::fs::write(&path, "").unwrap();
         assert!(subtitles(&path, None).is_err());
@@ -90,7 +80,7 @@ mod tests {
         assert_eq!(found.len(), expected.len(), "{found:?}");
         for (found, (start_s, end_s, text)) in found.iter().zip(expected) {
             assert!((found.start_s - start_s).abs() < 1e-6 && (found.end_s - end_s).abs() < 1e-6, "{found:?}");
-            assert_eq!(found.text, text);
+            assert_eq!(found.content, text);
         }
         assert_eq!(subtitles(&golden.join("variable_rate_rotated.mp4"), None).unwrap(), []);
     }

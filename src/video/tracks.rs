@@ -6,7 +6,7 @@ use super::error::regular;
 use super::{VideoError, diagnosis};
 use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind};
 use crate::memory;
-use crate::scene::{Topic, Warning};
+use crate::scene::{Timed, Topic, Warning};
 
 /// A track with fewer frames than this share of the longest one is not the camera's: cameras recorded together have 15
 /// to 60 frames per second, thumbnails one per second or one in all.
@@ -61,14 +61,14 @@ pub(super) fn choose(file: &MediaFile, path: &Path, wanted: Option<u32>) -> Resu
 /// is decoded.
 ///
 /// * `track` – video track whose clock counts, as [`choose`] takes it.
-/// * `make` – gets the kind of the stream, the content of a packet, and its beginning and end on the clock of the
-///   frames, seconds; returns what is kept, and the bytes that this owns.
+/// * `make` – gets the kind of the stream and the content of a packet; returns what is kept, and the bytes that this
+///   owns.
 pub(super) fn packets<T>(
     path: &Path,
     track: Option<u32>,
     is_wanted: impl Fn(StreamKind) -> bool,
-    make: impl Fn(StreamKind, &[u8], [f64; 2]) -> Option<(T, usize)>,
-) -> Result<Option<Vec<T>>, VideoError> {
+    make: impl Fn(StreamKind, &[u8]) -> Option<(T, usize)>,
+) -> Result<Option<Vec<Timed<T>>>, VideoError> {
     regular(path)?;
     let mut file = MediaFile::open(path).map_err(|error| diagnosis::refused(path, error))?;
     let Some(stream) = file.streams().into_iter().find(|stream| is_wanted(stream.kind)) else { return Ok(None) };
@@ -80,14 +80,14 @@ pub(super) fn packets<T>(
     let limit = memory::of_machine() / 4;
     while file.read(&mut packet)? {
         let Some(time) = packet.time() else { continue };
-        let end = time.saturating_add(packet.duration());
-        let span_s = [time, end].map(|ticks| stream.time_base.seconds(ticks) - origin_s);
-        let Some((item, num_bytes)) = make(stream.kind, packet.data(), span_s) else { continue };
-        taken += (size_of::<T>() + num_bytes) as u64;
+        let Some((content, num_bytes)) = make(stream.kind, packet.data()) else { continue };
+        taken += (size_of::<Timed<T>>() + num_bytes) as u64;
         if taken > limit {
             return Err(VideoError::TextTooLarge { path: path.to_owned(), limit });
         }
-        found.push(item);
+        let end = time.saturating_add(packet.duration());
+        let [start_s, end_s] = [time, end].map(|ticks| stream.time_base.seconds(ticks) - origin_s);
+        found.push(Timed { start_s, end_s, content });
     }
     Ok(Some(found))
 }

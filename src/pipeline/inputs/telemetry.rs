@@ -206,29 +206,15 @@ fn in_gpmf_track(video: &Path, track: Option<u32>) -> Option<Result<Log, Telemet
         Ok(found) => found?,
         Err(error) => return Some(Err(error)),
     };
-    let payloads: Vec<telemetry::Payload> = found
-        .payloads
-        .iter()
-        .map(|payload| telemetry::Payload { start_s: payload.start_s, end_s: payload.end_s, data: &payload.data })
-        .collect();
-    Some(telemetry::read_gpmf(&payloads, &found.settings, video, MemoryLimit::of_machine()))
+    Some(telemetry::read_gpmf(&found.payloads, &found.settings, video, MemoryLimit::of_machine()))
 }
 
 fn in_text_track(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
-    let entries = match content(video::subtitles(video, track))? {
-        Ok(entries) if entries.is_empty() => return None,
-        Ok(entries) => entries,
-        Err(error) => return Some(Err(error)),
-    };
-    let numbered = (1..).zip(&entries);
-    let subtitles: Vec<telemetry::Subtitle> = numbered
-        .map(|(line, entry)| telemetry::Subtitle {
-            line,
-            start_s: Some(entry.start_s),
-            lines: entry.text.lines().map(str::trim).collect(),
-        })
-        .collect();
-    Some(telemetry::read_subtitles(&subtitles, video))
+    match content(video::subtitles(video, track))? {
+        Ok(entries) if entries.is_empty() => None,
+        Ok(entries) => Some(telemetry::read_subtitles(&entries, video)),
+        Err(error) => Some(Err(error)),
+    }
 }
 
 fn photographs(run: &Run) -> Option<Telemetry> {

@@ -1,11 +1,11 @@
 //! Small streams of GPMF for tests.
 
-use super::Payload;
+use crate::scene::Timed;
 
 /// Payloads of a second each.
-pub(crate) fn payloads(seconds: &[Vec<u8>]) -> Vec<Payload<'_>> {
+pub(crate) fn payloads(seconds: &[Vec<u8>]) -> Vec<Timed<Vec<u8>>> {
     let numbered = (0u32..).map(f64::from).zip(seconds);
-    numbered.map(|(start_s, data)| Payload { start_s, end_s: start_s + 1.0, data }).collect()
+    numbered.map(|(start_s, data)| Timed { start_s, end_s: start_s + 1.0, content: data.clone() }).collect()
 }
 
 /// An entry with samples of `size` bytes.

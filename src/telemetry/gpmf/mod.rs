@@ -23,21 +23,11 @@ use super::fix::{CameraSample, ClockKind, Fix, HeightDatum, Log, Position, Recei
 use super::summary::Range;
 use super::time::{self, DAY_S};
 use crate::math::median;
+use crate::scene::Timed;
 
 /// Names of the two forms of positions in reports.
 const GPS9: &str = "gpmf-gps9";
 const GPS5: &str = "gpmf-gps5";
-
-/// One payload of a track.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Payload<'a> {
-    /// Its beginning, seconds after the video's start.
-    pub start_s: f64,
-    /// Its end, seconds.
-    pub end_s: f64,
-    /// Content.
-    pub data: &'a [u8],
-}
 
 /// Returns true if a file begins as GPMF does.
 pub(super) fn is_gpmf(head: &[u8]) -> bool {
@@ -45,11 +35,11 @@ pub(super) fn is_gpmf(head: &[u8]) -> bool {
 }
 
 /// Reads the payloads of a video's track, and the container's settings.
-pub(super) fn read(payloads: &[Payload], settings: &[u8], empty: Log) -> Log {
-    let has_gps9 = payloads.iter().any(|payload| has_key(payload.data, b"GPS9"));
+pub(super) fn read(payloads: &[Timed<Vec<u8>>], settings: &[u8], empty: Log) -> Log {
+    let has_gps9 = payloads.iter().any(|payload| has_key(&payload.content, b"GPS9"));
     let mut reading = Reading::new(has_gps9, empty);
     for (number, payload) in (1..).zip(payloads) {
-        for device in devices(payload.data) {
+        for device in devices(&payload.content) {
             reading.device(number, &device, (payload.start_s, payload.end_s));
         }
     }
