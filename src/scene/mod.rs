@@ -22,7 +22,7 @@ mod warning;
 pub use boxes::{BoxDetection, DetectionSource, Rect};
 pub use flow::Flow;
 pub use focal_change::FocalChange;
-pub use frame::{Frame, FrameId, ObjectId, TimeBase, Timed};
+pub use frame::{Frame, FrameId, ObjectId, TimeBase, Timed, clock_in_seconds};
 pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use ground_track::{
     ContactError, GroundPosition, GroundTrack, GroundTrackMethod, GroundTrackTrust, GroundTrackVerdict, NoContact,

@@ -22,7 +22,7 @@ use super::words::Text;
 use crate::camera::Camera;
 use crate::io::IoError;
 use crate::math::Rigid3;
-use crate::scene::{CameraForm, CameraId, Image, ImageId, Reconstruction};
+use crate::scene::{CameraForm, CameraId, Image, ImageId, Reconstruction, clock_in_seconds};
 
 const CAMERA: CameraId = CameraId(1);
 
@@ -36,15 +36,8 @@ pub fn read_tum(path: &Path) -> Result<Reconstruction, IoError> {
         let [time, x, y, z, a, b, c, d] = *values;
         let quaternion = if is_euroc { Quaternion::new(a, b, c, d) } else { Quaternion::new(d, a, b, c) };
         let rotation = unit_quaternion(quaternion)?;
-        Some((name_of(in_seconds(time)), rotation, Point3::new(x, y, z)))
+        Some((name_of(clock_in_seconds(time)), rotation, Point3::new(x, y, z)))
     })
-}
-
-/// Clocks that count smaller units after 1970 than seconds, by magnitude: least value and unit.
-const CLOCKS: [(f64, f64); 3] = [(1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)];
-
-fn in_seconds(time: f64) -> f64 {
-    CLOCKS.iter().find(|(least, _)| time >= *least).map_or(time, |(_, unit)| time * unit)
 }
 
 /// Name of an image by its time: seconds, to a microsecond, which is what a number of this size can hold.

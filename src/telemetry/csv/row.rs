@@ -5,6 +5,7 @@ use super::super::fix::{Angles, Fix, Receiver};
 use super::super::text::{check_length, number, shown};
 use super::super::time;
 use super::columns::{Column, KnownColumn};
+use crate::scene::clock_in_seconds;
 
 /// The fix in a row, and whether its clock states its zone.
 ///
@@ -56,9 +57,6 @@ struct Row<'a> {
 /// Numbers above this are seconds after 1970 and no time in a video: it is 1973.
 const LEAST_CLOCK_S: f64 = 1e8;
 
-/// Clocks by magnitude: seconds after 1970 are below 10¹¹ until the year 5138, and so on in steps of a thousand.
-const CLOCKS: [(f64, f64); 4] = [(1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3), (LEAST_CLOCK_S, 1.0)];
-
 /// 2100-01-01: a clock beyond is another quantity, or damaged.
 const LAST_CLOCK_S: f64 = 4_102_444_800.0;
 
@@ -106,8 +104,7 @@ impl Row<'_> {
 /// The clock that a cell states.
 fn clock_of(text: &str) -> Result<Option<(f64, bool)>, String> {
     let Some(value) = number(text) else { return Ok(time::spelled_in_table_s(text)) };
-    let unit = CLOCKS.iter().find(|(least, _)| value >= *least);
-    match unit.map(|(_, unit)| value * unit) {
+    match (value >= LEAST_CLOCK_S).then(|| clock_in_seconds(value)) {
         Some(clock_s) if clock_s > LAST_CLOCK_S => Err(format!("time {}: after the year 2100", shown(text))),
         clock_s => Ok(clock_s.map(|clock_s| (clock_s, true))),
     }
