@@ -8,10 +8,10 @@ use schemars::JsonSchema;
 use serde::Serialize;
 use serde_json::Value;
 
-use super::results::{local_frame, motions};
+use super::results::motions;
 use super::{ExportError, Results};
 use crate::scene::{Estimate, Motion, ObjectId, ObjectTrajectory};
-use crate::telemetry::Geodetic;
+use crate::telemetry::{Geodetic, LocalFrame};
 
 /// A line or a zone, in meters of the metric frame.
 #[derive(Clone, Debug, PartialEq)]
@@ -148,7 +148,7 @@ fn position(point: &Value, results: &Results) -> Option<Point2<f64>> {
         return None;
     }
     let place = Geodetic { longitude_deg: x, latitude_deg: y, height_m: origin.height_m };
-    let local = local_frame(origin).from_geodetic(place);
+    let local = LocalFrame { origin }.from_geodetic(place);
     Some(Point2::new(local.x, local.y))
 }
 

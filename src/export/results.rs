@@ -19,12 +19,6 @@ use crate::telemetry::{Geodetic, LocalFrame};
 /// Images per second of an input without times, as are 25 frames of one.
 pub(super) const FRAMES_PER_S: f64 = 25.0;
 
-/// East, north, up at the origin of the metric frame.
-pub fn local_frame(origin: MapOrigin) -> LocalFrame {
-    let MapOrigin { longitude, latitude, height_m, .. } = origin;
-    LocalFrame::at(Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m })
-}
-
 /// Smoothed motion of a vehicle at its times, where it is known.
 pub(super) fn motions(object: &ObjectTrajectory) -> impl Iterator<Item = (f64, Motion)> {
     object.poses.iter().filter_map(|pose| Some((pose.time_s, pose.metric.as_ref()?.motion?)))
@@ -216,7 +210,7 @@ impl Results {
     /// Where a point of the background is on the map; `None` where the map is not known.
     pub fn place(&self, point_in_world: Point3<f64>) -> Option<MapPlace> {
         let (frame, origin) = self.map()?;
-        let found = local_frame(origin).to_geodetic(frame.metric_from_world() * point_in_world);
+        let found = LocalFrame { origin }.to_geodetic(frame.metric_from_world() * point_in_world);
         let numbers = [found.longitude_deg, found.latitude_deg, found.height_m];
         numbers.iter().all(|number| number.is_finite()).then(|| MapPlace {
             longitude: found.longitude_deg,

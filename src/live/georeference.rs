@@ -16,7 +16,7 @@ use crate::metric::{
     Alignment, CameraPath, DRIFT, Fused, Gravity, Kind, Measured, ObservedPoint, Offset, Source, Support,
     align_to_fixes, frame_on_map, fuse, place_std_m,
 };
-use crate::pipeline::{MetricOptions, OnMap, Station, dates_of_log, gimbal_orientation, map_origin};
+use crate::pipeline::{MetricOptions, OnMap, Station, dates_of_log, gimbal_orientation};
 use crate::scene::{ClockZone, Frame, FrameId, MetricFrame, Reconstruction};
 use crate::telemetry::{LocalFixes, LocalFrame, Log, TimeBase, date};
 
@@ -43,7 +43,6 @@ pub(super) struct Georeference {
     /// Meters east, north, up from the frame of the maps.
     frame: MetricFrame,
     map: LocalFrame,
-    knows_height: bool,
     /// UTC at the beginning of the video, seconds after 1970; `None` where the log has none.
     utc_start_s: Option<f64>,
     alignment: Alignment,
@@ -166,13 +165,13 @@ impl Georeferencer {
     /// The map, and meters per unit by it.
     fn align(&self, update: &Update) -> Result<(Georeference, Option<Source>), String> {
         let Update { model, frames, gravity, drift, sources, options, hovering } = *update;
-        let (alignment, scale, map, knows_height, clock_offset_s, log) = if let Some(height) = hovering {
+        let (alignment, scale, map, clock_offset_s, log) = if let Some(height) = hovering {
             let log = self.feed.current().map_err(|error| error.to_string())?.log;
             let station = self.station(model, frames, options)?;
             let alignment = station.alignment().ok_or("no gimbal angles, and the camera does not translate")?;
             let of_height = station.source_of_height(&height);
             let clock_offset_s = station.clock_offset_s();
-            (alignment, of_height, station.map, station.knows_height, clock_offset_s, log)
+            (alignment, of_height, station.map, clock_offset_s, log)
         } else {
             let (current, local) = self.fixes()?;
             let path = self.camera_path()?;
@@ -187,13 +186,13 @@ impl Georeferencer {
             let alignment = align_to_fixes(&path, &local.fixes, &support).map_err(|refusal| refusal.to_string())?;
             let of_path = alignment.source("telemetry", Kind::Telemetry);
             let clock_offset_s = local.epoch_s + alignment.offset_s;
-            (alignment, Some(of_path), local.frame, local.knows_height, clock_offset_s, current.log)
+            (alignment, Some(of_path), local.frame, clock_offset_s, current.log)
         };
         let all: Vec<Source> = sources.iter().cloned().chain(scale.clone()).collect();
         let fused = fuse(&all).ok_or("no scale")?;
-        let frame = frame_on_map(&fused, &alignment, map_origin(&map, knows_height));
+        let frame = frame_on_map(&fused, &alignment, map.origin);
         let utc_start_s = utc_start_s(&log, clock_offset_s, options);
-        Ok((Georeference { frame, map, knows_height, utc_start_s, alignment, drift }, scale))
+        Ok((Georeference { frame, map, utc_start_s, alignment, drift }, scale))
     }
 
     fn camera_path(&self) -> Result<CameraPath, String> {
@@ -232,11 +231,11 @@ impl Georeference {
     ///
     /// * `utc_start_s` – UTC at the beginning of the video, seconds after 1970.
     pub(super) fn on_map(found: OnMap, utc_start_s: Option<f64>) -> Self {
-        let OnMap { alignment, map, knows_height } = found;
+        let OnMap { alignment, map } = found;
         let scale = alignment.source(MAP_POINTS, Kind::Surveyed);
         let fused = Fused::of_scale(scale.log_scale.exp(), scale.std);
-        let frame = frame_on_map(&fused, &alignment, map_origin(&map, knows_height));
-        Self { frame, map, knows_height, utc_start_s, alignment, drift: 0.0 }
+        let frame = frame_on_map(&fused, &alignment, map.origin);
+        Self { frame, map, utc_start_s, alignment, drift: 0.0 }
     }
 
     /// Meters per unit by the points of a map.
@@ -250,12 +249,13 @@ impl Georeference {
     pub(super) fn position(&self, observed: &ObservedPoint, drift: f64) -> GeoPosition {
         let found = self.map.to_geodetic(self.frame.metric_from_world() * observed.point);
         let [east, north, up] = self.std_m(observed, drift);
+        let knows_height = self.map.origin.knows_height;
         GeoPosition {
             latitude: found.latitude_deg,
             longitude: found.longitude_deg,
-            height: self.knows_height.then_some(rounded(found.height_m)),
+            height: knows_height.then_some(rounded(found.height_m)),
             horizontal_std: rounded(east.hypot(north)),
-            vertical_std: self.knows_height.then_some(rounded(up)),
+            vertical_std: knows_height.then_some(rounded(up)),
             distance: rounded((observed.point - observed.center).norm() * self.frame.scale),
             velocity: None,
             speed_std: None,

@@ -32,7 +32,6 @@ pub use driver::stage::Stage;
 pub use driver::workspace::{Marker, Overwrite, Workspace};
 pub use error::{PipelineError, Result};
 pub use evaluate::{SavedEvaluation, evaluate, keep_evaluation};
-pub use inputs::alignment::map_origin;
 pub use inputs::attitude::orientation as gimbal_orientation;
 pub use inputs::hovering::{OnMap, Station, camera_by_map_points, check_map_points, on_map_points, stated_tilts};
 pub use inputs::telemetry::telemetry_of;

@@ -8,6 +8,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3, point};
 use serde::{Deserialize, Serialize};
 
 use crate::math::Sim3;
+use crate::scene::MapOrigin;
 
 /// A place by longitude, latitude and height.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -24,14 +25,15 @@ pub struct Geodetic {
 /// Axes east, north and up at a place, metres; the place is (0, 0, 0).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LocalFrame {
-    /// The place.
-    pub origin: Geodetic,
+    /// The place, and whether heights are absolute.
+    pub origin: MapOrigin,
 }
 
 impl LocalFrame {
-    /// The frame of a place.
-    pub fn at(origin: Geodetic) -> Self {
-        Self { origin }
+    /// The frame of a place whose height is absolute.
+    pub fn at(place: Geodetic) -> Self {
+        let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = place;
+        Self { origin: MapOrigin { longitude, latitude, height_m, knows_height: true } }
     }
 
     /// Metres east, north, up.
@@ -41,8 +43,8 @@ impl LocalFrame {
             place.latitude_deg.to_radians(),
             place.longitude_deg.to_radians(),
             place.height_m,
-            origin.latitude_deg.to_radians(),
-            origin.longitude_deg.to_radians(),
+            origin.latitude.to_radians(),
+            origin.longitude.to_radians(),
             origin.height_m,
             Ellipsoid::WGS84,
         );
@@ -56,8 +58,8 @@ impl LocalFrame {
             point_in_frame.x,
             point_in_frame.y,
             point_in_frame.z,
-            origin.latitude_deg.to_radians(),
-            origin.longitude_deg.to_radians(),
+            origin.latitude.to_radians(),
+            origin.longitude.to_radians(),
             origin.height_m,
             Ellipsoid::WGS84,
         );
@@ -78,18 +80,21 @@ pub struct UtmGrid {
 impl LocalFrame {
     /// The grid of the zone in which the origin lies.
     pub fn utm(&self) -> UtmGrid {
-        let Geodetic { longitude_deg, latitude_deg, height_m } = self.origin;
-        let zone = utm::lat_lon_to_zone_number(latitude_deg, longitude_deg);
-        let on_grid = |place: Geodetic| {
-            let (northing, easting, _) = utm::to_utm_wgs84(place.latitude_deg, place.longitude_deg, zone);
+        let MapOrigin { longitude, latitude, height_m, .. } = self.origin;
+        let zone = utm::lat_lon_to_zone_number(latitude, longitude);
+        let on_grid = |latitude, longitude| {
+            let (northing, easting, _) = utm::to_utm_wgs84(latitude, longitude, zone);
             Vector2::new(easting, northing)
         };
         // A kilometer to the north gives turn and scale of the grid.
         const STEP_M: f64 = 1000.0;
-        let step = |north| on_grid(self.to_geodetic(point![0.0, north, 0.0]));
-        let (origin, north) = (on_grid(self.origin), (step(STEP_M) - step(-STEP_M)) / (2.0 * STEP_M));
+        let step = |north| {
+            let place = self.to_geodetic(point![0.0, north, 0.0]);
+            on_grid(place.latitude_deg, place.longitude_deg)
+        };
+        let (origin, north) = (on_grid(latitude, longitude), (step(STEP_M) - step(-STEP_M)) / (2.0 * STEP_M));
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), (-north.x).atan2(north.y));
-        let epsg = if latitude_deg >= 0.0 { 32_600 } else { 32_700 } + u32::from(zone);
+        let epsg = if latitude >= 0.0 { 32_600 } else { 32_700 } + u32::from(zone);
         let shift = Vector3::new(origin.x, origin.y, height_m);
         UtmGrid { epsg, grid_from_local: Sim3::new(north.norm(), turn, shift) }
     }

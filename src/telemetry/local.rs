@@ -8,6 +8,7 @@ use super::fix::{Fix, Log};
 use super::geodesy::{Geodetic, LocalFrame};
 use crate::math::median;
 use crate::metric::PositionFix;
+use crate::scene::MapOrigin;
 
 /// Which heights of a log count; two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,11 +33,8 @@ pub enum TimeBase {
 /// Fixes in metres.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalFixes {
-    /// Turns metres into longitude, latitude and height. The height is absolute if `knows_height`, else one above
-    /// take-off, or of an unknown level.
+    /// Turns metres into longitude, latitude and height.
     pub frame: LocalFrame,
-    /// True if absolute heights are known.
-    pub knows_height: bool,
     /// The fixes, in order of time.
     pub fixes: Vec<PositionFix>,
     /// Which heights they have.
@@ -71,25 +69,16 @@ impl Log {
         let (first, first_s) = timed.first()?;
         let heights = self.heights();
         let takeoff_m = self.takeoff_height_m();
-        let origin_height_m = match heights {
-            Heights::Relative => takeoff_m.unwrap_or(0.0),
-            Heights::Absolute => first.gps_height_m.unwrap_or(0.0),
-            Heights::Absent => 0.0,
+        let (height_m, knows_height) = match heights {
+            Heights::Relative => (takeoff_m.unwrap_or(0.0), takeoff_m.is_some()),
+            Heights::Absolute => (first.gps_height_m.unwrap_or(0.0), true),
+            Heights::Absent => (0.0, false),
         };
-        let origin = Geodetic {
-            longitude_deg: first.longitude_deg,
-            latitude_deg: first.latitude_deg,
-            height_m: origin_height_m,
-        };
-        let frame = LocalFrame::at(origin);
+        let Fix { longitude_deg: longitude, latitude_deg: latitude, .. } = **first;
+        let frame = LocalFrame { origin: MapOrigin { longitude, latitude, height_m, knows_height } };
         let epoch_s = if times == TimeBase::Clock { *first_s } else { 0.0 };
         let fixes = timed.iter().map(|(fix, time_s)| local(fix, *time_s - epoch_s, &frame, heights)).collect();
-        let knows_height = match heights {
-            Heights::Relative => takeoff_m.is_some(),
-            Heights::Absolute => true,
-            Heights::Absent => false,
-        };
-        Some(LocalFixes { frame, knows_height, fixes, heights, times, epoch_s })
+        Some(LocalFixes { frame, fixes, heights, times, epoch_s })
     }
 
     /// True if every fix belongs to an image by its name: the log of a folder, not of a clock.
@@ -167,7 +156,10 @@ mod tests {
         let noise = [3.0, -1.0, 0.0, 2.0, -2.0];
         let fixes = (0..5).map(|i| fix(i, Some(500.0 + noise[i as usize]), Some(10.0))).collect();
         let found = log(fixes);
-        assert_eq!((found.heights, found.times, found.knows_height), (Heights::Relative, TimeBase::Video, true));
+        assert_eq!(
+            (found.heights, found.times, found.frame.origin.knows_height),
+            (Heights::Relative, TimeBase::Video, true)
+        );
         // A plane touches the earth: 44 m on, it is 0.15 mm above it.
         assert!(found.fixes.iter().all(|fix| (fix.up_m.unwrap() - 10.0).abs() < 1e-3), "{:?}", found.fixes);
         assert!((found.fixes[4].east_north_m.y - 44.48).abs() < 0.02, "{:?}", found.fixes[4]);
@@ -179,12 +171,12 @@ mod tests {
     #[test]
     fn logs_with_one_kind_of_height_or_none() {
         let absolute = log((0..3).map(|i| fix(i, Some(500.0 + f64::from(i)), None)).collect());
-        assert_eq!((absolute.heights, absolute.knows_height), (Heights::Absolute, true));
+        assert_eq!((absolute.heights, absolute.frame.origin.knows_height), (Heights::Absolute, true));
         assert!((absolute.fixes[2].up_m.unwrap() - 2.0).abs() < 1e-3 && absolute.fixes[0].up_m == Some(0.0));
         let none = log((0..3).map(|i| fix(i, None, None)).collect());
-        assert_eq!((none.heights, none.knows_height, none.fixes[1].up_m), (Heights::Absent, false, None));
+        assert_eq!((none.heights, none.frame.origin.knows_height, none.fixes[1].up_m), (Heights::Absent, false, None));
         let relative = log((0..3).map(|i| fix(i, None, Some(7.0))).collect());
-        assert_eq!((relative.heights, relative.knows_height), (Heights::Relative, false));
+        assert_eq!((relative.heights, relative.frame.origin.knows_height), (Heights::Relative, false));
         assert_eq!(Log::default().local_fixes(), None);
     }
 }

@@ -6,14 +6,13 @@ use super::clock_offsets;
 use super::telemetry::{Origin, Telemetry};
 use crate::metric::{Alignment, CameraPath, DRIFT, Offset, Refusal, Support, align_to_fixes};
 use crate::pipeline::driver::run::Run;
-use crate::scene::{Frame, Image, MapOrigin, Reconstruction, TimeBase};
-use crate::telemetry::{self, Fix, Geodetic, LocalFixes, LocalFrame};
+use crate::scene::{Frame, Image, Reconstruction, TimeBase};
+use crate::telemetry::{self, Fix, LocalFixes, LocalFrame};
 
 /// A log on the camera's path.
 pub(in crate::pipeline) struct FittedLog {
     pub(in crate::pipeline) alignment: Alignment,
     pub(in crate::pipeline) map: LocalFrame,
-    pub(in crate::pipeline) knows_height: bool,
     /// Epoch of the log's times, seconds of its clock.
     pub(in crate::pipeline) epoch_s: f64,
     /// Why the log does not fit at the offset that it states.
@@ -36,7 +35,7 @@ pub(in crate::pipeline) fn fit(
     if !telemetry.origin.is_of_images() && run.info().time_base() == TimeBase::Frames {
         return Err("frames without times; give --fps RATE".to_owned());
     }
-    let LocalFixes { frame: map, knows_height, fixes, times, epoch_s, .. } = local_fixes(telemetry, frames)?;
+    let LocalFixes { frame: map, fixes, times, epoch_s, .. } = local_fixes(telemetry, frames)?;
     let path = camera_path(background, frames)?;
     let log_s = fixes.iter().map(|fix| fix.time_s).fold(0.0, f64::max);
     let mut refusal = None;
@@ -52,7 +51,7 @@ pub(in crate::pipeline) fn fit(
         }
         if let [_] = fitting[..] {
             let alignment = fitting.swap_remove(0);
-            return Ok(FittedLog { alignment, map, knows_height, epoch_s, refusal });
+            return Ok(FittedLog { alignment, map, epoch_s, refusal });
         }
     }
     Err(refusal.as_ref().map_or_else(String::new, Refusal::to_string))
@@ -88,10 +87,4 @@ pub(in crate::pipeline) fn registered<'a>(
     frames: &'a [Frame],
 ) -> Vec<(&'a Frame, &'a Image)> {
     frames.iter().filter_map(|frame| Some((frame, background.images.get(&frame.id.into())?))).collect()
-}
-
-/// Origin of a local frame on the map.
-pub fn map_origin(map: &LocalFrame, knows_height: bool) -> MapOrigin {
-    let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = map.origin;
-    MapOrigin { longitude, latitude, height_m, knows_height }
 }

@@ -22,7 +22,7 @@ use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::stages::background::focal_deviation;
 use crate::pipeline::{MetricOptions, PipelineError, Result};
-use crate::scene::{Frame, FrameId, Reconstruction};
+use crate::scene::{Frame, FrameId, MapOrigin, Reconstruction};
 use crate::telemetry::{Fix, Geodetic, Heights, LocalFixes, LocalFrame};
 
 /// Standard deviation of a stated pitch at least, radians: half a degree, which gimbals and eyes leave.
@@ -112,8 +112,6 @@ pub fn stated_tilts(
 pub struct Station {
     /// The map's frame.
     pub map: LocalFrame,
-    /// True if absolute heights are known.
-    pub knows_height: bool,
     /// Metres east, north, up.
     position_m: Point3<f64>,
     std_m: Vector3<f64>,
@@ -187,7 +185,6 @@ impl Station {
             offset_std_s,
             num_fixes: used.len(),
             map: local.frame,
-            knows_height: local.knows_height,
         })
     }
 
@@ -238,10 +235,8 @@ impl Station {
 pub struct OnMap {
     /// The map from the background.
     pub alignment: Alignment,
-    /// Its frame.
+    /// Its frame; heights are known if the points have them.
     pub map: LocalFrame,
-    /// True if the points have heights.
-    pub knows_height: bool,
 }
 
 /// Points of a map as GeoJSON has them.
@@ -321,7 +316,6 @@ struct Picked {
 /// The points that a person picked, and their map.
 struct Survey {
     picked: Vec<Picked>,
-    knows_height: bool,
     map: LocalFrame,
 }
 
@@ -330,12 +324,13 @@ impl Survey {
         let picked = read_map_points(path)?;
         let mean = |value: &dyn Fn(&Picked) -> f64| picked.iter().map(value).sum::<f64>() / picked.len() as f64;
         let knows_height = picked.iter().all(|point| point.height_m.is_some());
-        let origin = Geodetic {
-            longitude_deg: mean(&|point| point.longitude_deg),
-            latitude_deg: mean(&|point| point.latitude_deg),
+        let origin = MapOrigin {
+            longitude: mean(&|point| point.longitude_deg),
+            latitude: mean(&|point| point.latitude_deg),
             height_m: if knows_height { mean(&|point| point.height_m.unwrap_or(0.0)) } else { 0.0 },
+            knows_height,
         };
-        Ok(Self { map: LocalFrame::at(origin), picked, knows_height })
+        Ok(Self { map: LocalFrame { origin }, picked })
     }
 
     /// The points as the cameras see them.
@@ -359,7 +354,7 @@ impl Survey {
                 return Err(format!("point {number}: pixel ({x}, {y}) is outside {}x{}", camera.width, camera.height));
             }
             let Picked { longitude_deg, latitude_deg, .. } = *picked;
-            let place = Geodetic { longitude_deg, latitude_deg, ..self.map.origin };
+            let place = Geodetic { longitude_deg, latitude_deg, height_m: self.map.origin.height_m };
             Ok(MapPoint {
                 ray_in_world: image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(picked.pixel),
                 ray_std: PICKED_STD_PX / camera.mean_focal(),
@@ -384,7 +379,7 @@ pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal
     survey.points(background, 0.0).map_err(wrong)?;
     let points_at = |log_focal| survey.points(background, log_focal).unwrap_or_default();
     let alignment = camera_over_map(points_at, focal_std).map_err(|error| wrong(error.to_string()))?;
-    Ok(Some(OnMap { alignment, map: survey.map, knows_height: survey.knows_height }))
+    Ok(Some(OnMap { alignment, map: survey.map }))
 }
 
 /// A camera that does not translate with the focal length that the points of a map show, and its standard deviation as

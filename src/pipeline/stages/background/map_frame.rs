@@ -47,11 +47,11 @@ fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
 }
 
 fn metric(fitted: &FittedLog, of_log: Origin) -> Option<Metric> {
-    let FittedLog { alignment, map, knows_height, .. } = fitted;
+    let FittedLog { alignment, map, .. } = fitted;
     let fused = fuse(&[alignment.source(of_log.source_name(), Kind::Telemetry)])?;
     Some(Metric {
         verdict: fused.verdict,
-        frame: Some(frame_on_map(&fused, alignment, alignment::map_origin(map, *knows_height))),
+        frame: Some(frame_on_map(&fused, alignment, map.origin)),
         shares: fused.shares,
         ..Metric::default()
     })

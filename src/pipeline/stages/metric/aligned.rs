@@ -5,29 +5,21 @@ use super::sources::{Ground, MAX_TILT};
 use crate::metric::{Alignment, Gravity, Kind, Offset, Source, Support};
 use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::alignment::{FittedLog, fit, map_origin};
+use crate::pipeline::inputs::alignment::{FittedLog, fit};
 use crate::pipeline::inputs::attitude::orientation;
-use crate::pipeline::inputs::hovering::{self, OnMap, Station};
+use crate::pipeline::inputs::hovering::{self, OnMap};
 use crate::pipeline::inputs::telemetry::Telemetry;
-use crate::scene::{Frame, MapOrigin, Reconstruction, Topic};
+use crate::scene::{Frame, Reconstruction, Topic};
 use crate::telemetry::LocalFrame;
 
 /// A path on its fixes, with the map under it.
 pub(super) struct Aligned {
     pub(super) alignment: Alignment,
     pub(super) map: LocalFrame,
-    knows_height: bool,
     /// Meters per unit by it, if it has any.
     pub(super) source: Option<Source>,
     /// The log's clock minus the video's time; `None` without a log.
     pub(super) clock_offset_s: Option<f64>,
-}
-
-impl Aligned {
-    /// Where the metric frame lies.
-    pub(super) fn origin(&self) -> MapOrigin {
-        map_origin(&self.map, self.knows_height)
-    }
 }
 
 /// Lays the path onto the fixes; why that cannot be is reported.
@@ -60,7 +52,7 @@ fn try_align(
 ) -> Result<Aligned, String> {
     let frames = run.frames().map_err(|error| error.to_string())?;
     let support = |offset, epoch_s| support(background, frames, telemetry, ground, offset, epoch_s, outcome);
-    let FittedLog { alignment, map, knows_height, epoch_s, refusal } = fit(run, background, telemetry, support)?;
+    let FittedLog { alignment, map, epoch_s, refusal } = fit(run, background, telemetry, support)?;
     let clock_offset_s = epoch_s + alignment.offset_s;
     if let Some(reason) = refusal {
         outcome.warn(Topic::TelemetryAtAnotherTime.warning(format!(
@@ -71,7 +63,7 @@ fn try_align(
         )));
     }
     let source = alignment.source(telemetry.origin.source_name(), Kind::Telemetry);
-    Ok(Aligned { alignment, map, knows_height, source: Some(source), clock_offset_s: Some(clock_offset_s) })
+    Ok(Aligned { alignment, map, source: Some(source), clock_offset_s: Some(clock_offset_s) })
 }
 
 /// A camera that does not translate, by points of a map or by a log; and the height above take-off as that above
@@ -88,10 +80,10 @@ pub(super) fn hovering(
 ) -> Result<(Option<Aligned>, Option<Source>)> {
     let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
     let of_map = hovering::on_map_points(&run.options.metric, background, focal_std)?;
-    let of_map = of_map.map(|OnMap { alignment, map, knows_height }| {
+    let of_map = of_map.map(|OnMap { alignment, map }| {
         describe(&alignment, outcome);
         let source = Some(alignment.source("map points", Kind::Surveyed));
-        Aligned { alignment, map, knows_height, source, clock_offset_s: None }
+        Aligned { alignment, map, source, clock_offset_s: None }
     });
     let station = telemetry.and_then(|log| match hovering::station(run, background, log) {
         Ok(station) => Some(station),
@@ -106,8 +98,7 @@ pub(super) fn hovering(
     let of_log = || {
         let station = station?;
         let (alignment, clock_offset_s) = (station.alignment()?, Some(station.clock_offset_s()));
-        let Station { map, knows_height, .. } = station;
-        Some(Aligned { alignment, map, knows_height, source: None, clock_offset_s })
+        Some(Aligned { alignment, map: station.map, source: None, clock_offset_s })
     };
     Ok((of_map.or_else(of_log), of_height))
 }

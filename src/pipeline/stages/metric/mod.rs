@@ -28,7 +28,6 @@ use crate::scene::{
     FrameId, GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic,
     Trajectories, sources_in_words,
 };
-use crate::telemetry;
 pub use dates::of_log as dates_of_log;
 use ground_tracks::Scale;
 use placed::Placing;
@@ -54,7 +53,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
 /// Reads the telemetry that is named, so that what is wrong with it is reported before any work.
 ///
 /// # Errors
-/// [`TelemetryError`](telemetry::TelemetryError) names the file and the cure.
+/// [`TelemetryError`](crate::telemetry::TelemetryError) names the file and the cure.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<()> {
     hovering::check_map_points(&options.metric)?;
     match &options.metric.telemetry {
@@ -84,7 +83,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
         let movements =
             run.workspace.read_tracked()?.into_iter().map(|object| (object.id, object.movement.state)).collect();
-        let placing = Placing::new(&background, frame, found.map, &pose_covariances, run.info().time_base(), movements);
+        let placing = Placing::new(&background, frame, &pose_covariances, run.info().time_base(), movements);
         for trajectory in &mut objects {
             match &nominal {
                 Some(_) => placing.fill_units(trajectory),
@@ -107,17 +106,16 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// Metres, and the map where it is known.
+/// Metres.
 struct MetricResult {
     metric: Metric,
-    map: Option<telemetry::LocalFrame>,
     /// Logarithm of meters per unit without typical vehicle sizes, and its standard deviation.
     known: Option<(f64, f64)>,
 }
 
 impl MetricResult {
     fn unknown(reason: impl Into<String>) -> Self {
-        Self { metric: Metric { reason: Some(reason.into()), ..Metric::default() }, map: None, known: None }
+        Self { metric: Metric { reason: Some(reason.into()), ..Metric::default() }, known: None }
     }
 }
 
@@ -162,7 +160,7 @@ fn find(
     };
     warn_of_contradictions(&fused, outcome);
     let frame = match &aligned {
-        Some(aligned) => frame_on_map(&fused, &aligned.alignment, aligned.origin()),
+        Some(aligned) => frame_on_map(&fused, &aligned.alignment, aligned.map.origin),
         None => frame_on_ground(&fused, &ground.level(background)),
     };
     let time_offset_s = aligned.as_ref().and_then(|aligned| aligned.clock_offset_s);
@@ -176,7 +174,7 @@ fn find(
         time_offset_std_s: time_offset_s.and(aligned.as_ref()).map(|aligned| aligned.alignment.offset_std_s),
         dates,
     };
-    Ok(MetricResult { metric, map: aligned.map(|aligned| aligned.map), known })
+    Ok(MetricResult { metric, known })
 }
 
 /// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and

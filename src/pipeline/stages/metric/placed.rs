@@ -35,7 +35,6 @@ impl<'a> Placing<'a> {
     pub(super) fn new(
         background: &'a Reconstruction,
         frame: &'a MetricFrame,
-        map: Option<LocalFrame>,
         poses: &'a PoseCovariances,
         times: TimeBase,
         movements: BTreeMap<ObjectId, Movement>,
@@ -43,6 +42,7 @@ impl<'a> Placing<'a> {
         let images: BTreeMap<&str, &Image> =
             background.images.values().map(|image| (image.name.as_str(), image)).collect();
         let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
+        let map = frame.origin.map(|origin| LocalFrame { origin });
         Self { frame, map, images, direction_std: 1.0 / focal, poses, times, movements }
     }
 
