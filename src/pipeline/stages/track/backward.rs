@@ -15,7 +15,7 @@ use crate::networks::FlowEstimator;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::{Result, Stage};
-use crate::scene::{Frame, FrameId, ObjectId, TrackedObject};
+use crate::scene::{Frame, FrameId, ObjectId};
 use crate::tracking::{BackwardTracker, Correction, Evidence, Extension, TrackSummary, TrackedMask};
 
 /// Bytes of pictures that a window may hold.
@@ -84,12 +84,12 @@ fn follow_back(
     let ids: BTreeSet<FrameId> = window.iter().map(|(frame, _)| frame.id).collect();
     let starting = followed.iter().filter(|f| ids.contains(&f.summary.first)).map(|f| f.summary.clone());
     let starting: Vec<TrackSummary> = starting.collect();
-    let objects: Vec<TrackedObject> = followed.iter().map(|f| f.object.clone()).collect();
     let mut tracker = BackwardTracker::new(finds.tracker_options(run), &starting);
     let mut found: Vec<(Frame, TrackedMask)> = Vec::new();
     let mut later: Option<&RgbImage> = None;
     for (frame, picture) in window.iter().rev() {
-        let known = super::masks_in(run, folder, &objects, frame)?;
+        let seen = followed.iter().filter(|f| f.frames.binary_search(&frame.id).is_ok()).map(|f| f.summary.id);
+        let known = seen.map(|id| Ok((id, super::mask_in(run, folder, id, frame)?))).collect::<Result<Vec<_>>>()?;
         let near = |later| flow.flow(later, picture, &tracker.places());
         let carried = later.filter(|_| tracker.is_following()).map(near).transpose()?;
         let prompter = finds.prompter_backward(frame)?;
@@ -104,22 +104,22 @@ fn follow_back(
     let extensions: BTreeMap<ObjectId, Extension> = tracker.finish().into_iter().map(|e| (e.object, e)).collect();
     for (frame, mask) in found {
         let is_sure = extensions.get(&mask.object).is_some_and(|extension| extension.first <= frame.id);
-        let object = followed.iter_mut().map(|f| &mut f.object).find(|object| object.id == mask.object);
-        if let (true, Some(object)) = (is_sure, object) {
-            masks::write_mask(&super::mask_path(folder, object.id, &frame), &mask.mask)?;
-            add(object, &frame, &mask);
+        let one = followed.iter_mut().find(|one| one.summary.id == mask.object);
+        if let (true, Some(one)) = (is_sure, one) {
+            masks::write_mask(&super::mask_path(folder, mask.object, &frame), &mask.mask)?;
+            add(one, &frame, &mask);
         }
     }
     Ok(())
 }
 
 /// Adds a frame to what is known of an object.
-fn add(object: &mut TrackedObject, frame: &Frame, mask: &TrackedMask) {
-    if let Err(place) = object.frames.binary_search(&frame.id) {
-        object.frames.insert(place, frame.id);
+fn add(Followed { summary, frames, .. }: &mut Followed, frame: &Frame, mask: &TrackedMask) {
+    if let Err(place) = frames.binary_search(&frame.id) {
+        frames.insert(place, frame.id);
         match mask.evidence {
-            Evidence::Carried => object.found_in.carried += 1,
-            Evidence::Prompted { .. } | Evidence::Detected { .. } => object.found_in.prompted += 1,
+            Evidence::Carried => summary.found.carried += 1,
+            Evidence::Prompted { .. } | Evidence::Detected { .. } => summary.found.prompted += 1,
         }
     }
 }

@@ -17,7 +17,7 @@ use crate::pipeline::stages::segment::detections::{DetectionFolder, FrameFolder}
 use crate::pipeline::stages::segment::schedule::Schedule;
 use crate::pipeline::stages::{motion, segment};
 use crate::pipeline::{Result, Stage};
-use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, Topic, TrackedObject};
+use crate::scene::{BoxDetection, Frame, FrameId, ObjectId, Topic, TrackedObject, UnmergedTrack};
 use crate::tracking::{
     BoxSource, Correction, DetectedBox, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, Tracker, TrackerOptions,
 };
@@ -102,10 +102,33 @@ impl Finds {
     }
 }
 
-/// An object that was followed, and what the tracker knows of it.
+/// An object that was followed.
+#[derive(Clone)]
 pub(super) struct Followed {
-    pub(super) object: TrackedObject,
     pub(super) summary: TrackSummary,
+    /// Frames in which it has a mask, ascending.
+    pub(super) frames: Vec<FrameId>,
+    /// Objects seen later that might be this one.
+    pub(super) apart: Vec<UnmergedTrack>,
+}
+
+impl Followed {
+    /// The object, before anything is known of its motion.
+    pub(super) fn object(&self) -> TrackedObject {
+        TrackedObject {
+            id: self.summary.id,
+            class: self.summary.class.clone(),
+            confidence: self.summary.confidence,
+            found_in: self.summary.found,
+            outline: self.summary.outline,
+            mask_quality: self.summary.mask_quality,
+            movement: super::movement::unknown(),
+            left_out: None,
+            frames: self.frames.clone(),
+            gaps: self.summary.gaps.clone(),
+            apart: self.apart.clone(),
+        }
+    }
 }
 
 /// Follows what was found from frame to frame by optical flow; writes the masks into `folder`.
@@ -180,18 +203,5 @@ fn settle(
     }
     let to = folder.join(summary.id.to_string());
     std::fs::rename(&from, &to).map_err(IoError::system("rename", &from))?;
-    let object = TrackedObject {
-        id: summary.id,
-        class: summary.class.clone(),
-        confidence: summary.confidence,
-        found_in: summary.found,
-        outline: summary.outline,
-        mask_quality: summary.mask_quality,
-        movement: super::movement::unknown(),
-        left_out: None,
-        frames: frames.into_iter().collect(),
-        gaps: Vec::new(),
-        apart: Vec::new(),
-    };
-    Ok(Followed { object, summary })
+    Ok(Followed { summary, frames: frames.into_iter().collect(), apart: Vec::new() })
 }

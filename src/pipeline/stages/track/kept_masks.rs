@@ -47,9 +47,11 @@ impl KeptMasks {
         let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
         let kept = Self::new(run, folder.clone());
         for frame in run.frames()? {
-            let masks = super::masks_in(run, images, objects, frame)?;
-            let found: Vec<KeptMask> =
-                masks.iter().map(|(object, mask)| KeptMask { object: *object, runs: runs_of_mask(mask) }).collect();
+            let kept_mask = |object| {
+                let mask = super::mask_in(run, images, object, frame)?;
+                Ok(KeptMask { object, runs: runs_of_mask(&mask) })
+            };
+            let found: Vec<KeptMask> = visible(objects, frame).map(kept_mask).collect::<Result<_>>()?;
             if !found.is_empty() {
                 kept.frames.write(frame, &found)?;
             }
@@ -59,8 +61,7 @@ impl KeptMasks {
 
     /// The masks of objects in a frame, in the order in which they were kept.
     pub(super) fn read(&self, objects: &[TrackedObject], frame: &Frame) -> Result<Vec<(ObjectId, Mask)>> {
-        let seen = objects.iter().filter(|object| object.is_visible_in(frame.id));
-        let wanted: Vec<ObjectId> = seen.map(|object| object.id).collect();
+        let wanted: Vec<ObjectId> = visible(objects, frame).collect();
         if wanted.is_empty() {
             return Ok(Vec::new());
         }
@@ -76,4 +77,8 @@ impl KeptMasks {
         };
         kept.into_iter().filter(|mask| wanted.contains(&mask.object)).map(mask).collect()
     }
+}
+
+fn visible(objects: &[TrackedObject], frame: &Frame) -> impl Iterator<Item = ObjectId> {
+    objects.iter().filter(|object| object.is_visible_in(frame.id)).map(|object| object.id)
 }

@@ -63,9 +63,8 @@ pub(super) fn join_pieces(run: &Run, folder: &Path, followed: &mut Vec<Followed>
     let spans: Vec<Span> = pieces.iter().map(|piece| piece.span).collect();
     let Joints { joined, apart } = join(&spans, &pairs);
     for (pair, reason) in apart.iter().filter(|(pair, _)| pair.evidence.place.is_some_and(|place| place <= 1.0)) {
-        let (object, reason) = (followed[pair.after].object.id, reason.clone());
-        let before = &mut followed[pair.before].object;
-        before.apart.push(UnmergedTrack { object, evidence: pair.evidence, reason });
+        let (object, reason) = (followed[pair.after].summary.id, reason.clone());
+        followed[pair.before].apart.push(UnmergedTrack { object, evidence: pair.evidence, reason });
     }
     outcome.figure("num_joined", joined.len());
     merge(run, folder, followed, &joined)
@@ -73,15 +72,14 @@ pub(super) fn join_pieces(run: &Run, folder: &Path, followed: &mut Vec<Followed>
 
 /// Keeps gaps in which a frame lies that has no mask, from the last frame with one to the first.
 fn keep_real_gaps(followed: &mut [Followed], frames: &[Frame]) {
-    for Followed { object, summary } in followed {
+    for Followed { summary, frames: seen, .. } in followed {
         let real = |gap: &Gap| {
-            let last = *object.frames.iter().rfind(|frame| **frame < gap.first)?;
-            let first = *object.frames.iter().find(|frame| **frame > last)?;
+            let last = *seen.iter().rfind(|frame| **frame < gap.first)?;
+            let first = *seen.iter().find(|frame| **frame > last)?;
             let is_real = frames.iter().any(|frame| last < frame.id && frame.id < first);
             is_real.then_some(Gap { last, first, ..*gap })
         };
         summary.gaps = summary.gaps.iter().filter_map(real).collect();
-        object.gaps.clone_from(&summary.gaps);
     }
 }
 
@@ -156,14 +154,13 @@ fn piece(
     ground: Option<&Ground<'_>>,
 ) -> Result<Option<Piece>> {
     let frames = run.frames()?;
-    let object = &followed.object;
-    let seen = object.frames.iter().filter_map(|id| Some((*id, frames[*index.get(id)?].time_s)));
+    let seen = followed.frames.iter().filter_map(|id| Some((*id, frames[*index.get(id)?].time_s)));
     let seen: Vec<(FrameId, f64)> = seen.collect();
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Ok(None) };
     let end = |side: Side| -> Result<Option<EndMotion>> {
         let mut spots = Vec::new();
         for (id, time_s) in near(&seen, side) {
-            spots.extend(Spot::of(id, time_s, &super::mask_in(run, folder, object.id, &frames[index[&id]])?));
+            spots.extend(Spot::of(id, time_s, &super::mask_in(run, folder, followed.summary.id, &frames[index[&id]])?));
         }
         Ok(course(&spots, ground))
     };
@@ -184,7 +181,7 @@ fn looks(
     let mut looks = BTreeMap::new();
     images::for_each(run, Stage::Track, wanted, outcome, |frame, picture| {
         for (&piece, _) in views.iter().filter(|(_, frames)| frames.contains(&frame.id)) {
-            let mask = super::mask_in(run, folder, followed[piece].object.id, &frame)?;
+            let mask = super::mask_in(run, folder, followed[piece].summary.id, &frame)?;
             let features = extract(&picture, &mask, &FeatureOptions::object())?;
             looks.insert((piece, frame.id), ViewFeatures { features, colours: Colours::of(&picture, &mask) });
         }
@@ -238,23 +235,23 @@ fn merge(run: &Run, folder: &Path, followed: &mut Vec<Followed>, joined: &[Pair]
     let mut renamed: BTreeMap<ObjectId, ObjectId> = BTreeMap::new();
     let mut gone = BTreeSet::new();
     for pair in joined {
-        let later =
-            Followed { object: followed[pair.after].object.clone(), summary: followed[pair.after].summary.clone() };
+        let later = followed[pair.after].clone();
         let earlier = &mut followed[pair.before];
-        move_masks(folder, later.object.id, earlier.object.id, &later.object.frames, &names)?;
-        run.workspace.remove_state(&folder.join(later.object.id.to_string()))?;
-        renamed.insert(later.object.id, earlier.object.id);
+        let (from, to) = (later.summary.id, earlier.summary.id);
+        move_masks(folder, from, to, &later.frames, &names)?;
+        run.workspace.remove_state(&folder.join(from.to_string()))?;
+        renamed.insert(from, to);
         earlier.take(later, pair.evidence);
         gone.insert(pair.after);
     }
     for followed in followed.iter_mut() {
-        for apart in &mut followed.object.apart {
+        for apart in &mut followed.apart {
             while let Some(id) = renamed.get(&apart.object) {
                 apart.object = *id;
             }
         }
-        let own = followed.object.id;
-        followed.object.apart.retain(|apart| apart.object != own);
+        let own = followed.summary.id;
+        followed.apart.retain(|apart| apart.object != own);
     }
     let mut place = 0..;
     followed.retain(|_| place.next().is_none_or(|k| !gone.contains(&k)));
@@ -278,16 +275,9 @@ fn move_masks(
 impl Followed {
     /// Takes in a piece that was seen later.
     fn take(&mut self, later: Self, evidence: IdentityEvidence) {
-        let Followed { object, summary } = later;
-        let (Some(&last), Some(&first)) = (self.object.frames.last(), object.frames.first()) else { return };
-        self.summary = self.summary.joined(&summary, Gap { last, first, evidence });
-        self.object.frames.extend(object.frames);
-        self.object.class.clone_from(&self.summary.class);
-        self.object.confidence = self.summary.confidence;
-        self.object.found_in = self.object.found_in.plus(&object.found_in);
-        self.object.outline = self.summary.outline;
-        self.object.mask_quality = self.summary.mask_quality;
-        self.object.gaps.clone_from(&self.summary.gaps);
-        self.object.apart.extend(object.apart);
+        let (Some(&last), Some(&first)) = (self.frames.last(), later.frames.first()) else { return };
+        self.summary = self.summary.joined(&later.summary, Gap { last, first, evidence });
+        self.frames.extend(later.frames);
+        self.apart.extend(later.apart);
     }
 }

@@ -92,7 +92,7 @@ fn tracked(
     backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
     merged::join_pieces(run, folder, &mut followed, outcome)?;
     let (mut objects, mut summaries): (Vec<_>, BTreeMap<_, _>) =
-        followed.into_iter().map(|f| (f.object, (f.summary.id, f.summary))).unzip();
+        followed.into_iter().map(|f| (f.object(), (f.summary.id, f.summary))).unzip();
     if let Finds::Masks { .. } = finds {
         // What a network of the user's finds is taken for a vehicle, and states no quality of its masks.
         summaries.clear();
@@ -129,13 +129,7 @@ pub(in crate::pipeline) fn masks_of(
     KeptMasks::done(run).read(objects, frame)
 }
 
-/// The masks of a folder of images that is still in the making.
-fn masks_in(run: &Run, folder: &Path, objects: &[TrackedObject], frame: &Frame) -> Result<Vec<(ObjectId, Mask)>> {
-    let seen = objects.iter().filter(|object| object.is_visible_in(frame.id));
-    seen.map(|object| Ok((object.id, mask_in(run, folder, object.id, frame)?))).collect()
-}
-
-/// One of these masks.
+/// The mask of an object in a folder of images that is still in the making.
 fn mask_in(run: &Run, folder: &Path, id: ObjectId, frame: &Frame) -> Result<Mask> {
     Ok(masks::read_mask(&mask_path(folder, id, frame), run.size())?)
 }
