@@ -2,7 +2,6 @@
 
 use std::path::PathBuf;
 
-use super::Format;
 use crate::ffi::ffmpeg::FfmpegError;
 use crate::image::ImageError;
 use crate::io::{FolderError, IoError};
@@ -29,21 +28,6 @@ pub enum ExportError {
         /// The folder.
         path: PathBuf,
     },
-    /// There are no trajectories.
-    #[error(
-        "--format {format}: no trajectories (trajectories.json is missing); run `tractrix run` into this folder, or \
-         export colmap, gltf, tum or kitti"
-    )]
-    NoTrajectories {
-        /// Requested format.
-        format: Format,
-    },
-    /// No camera is known.
-    #[error("--format {format}: the background was not reconstructed, so nothing has a position")]
-    NoCamera {
-        /// Requested format.
-        format: Format,
-    },
     /// Meters or times are not known.
     #[error(
         "{wanted}: no speeds in m/s; run again with a source of meters, such as --camera-height, and --fps for \
@@ -53,40 +37,15 @@ pub enum ExportError {
         /// Command or format that needs them.
         wanted: String,
     },
-    /// The place on the map is not known.
-    #[error(
-        "--format {format}: no georeferenced positions ({reason}); run again with --telemetry FILE, then export again"
-    )]
-    NoMap {
-        /// Requested format.
-        format: Format,
-        /// Why.
-        reason: String,
-    },
     /// Universal time is not known.
     #[error(
         "--format cot: no dates in universal time; run again with --utc-offset \u{b1}HH:MM if the log's clock has no \
          zone, or with a log that has dates"
     )]
     NoUtc,
-    /// Frames have no times.
-    #[error("--rate: the images have no times; run again with --fps RATE")]
-    NoTimes,
-    /// A format has the frames of the input.
-    #[error("--rate: {format} has the frames of the input; export it without --rate")]
-    NotSampled {
-        /// Requested format.
-        format: Format,
-    },
-    /// More samples than fit the memory.
-    #[error("--rate {rate}: more than 3.6 million rows for one vehicle; give a lower rate")]
-    TooManySamples {
-        /// Samples per second.
-        rate: f64,
-    },
-    /// No requested format has units to choose.
-    #[error("--units: only csv and geojson have units to choose; add one of them to --format, or leave out --units")]
-    NoUnits,
+    /// The results, or the formats, do not allow it.
+    #[error("{0}")]
+    Obstacle(String),
     /// The input cannot be read.
     #[error(
         "images required but not available: {reason}; if the video or folder was moved, give its path with --input"

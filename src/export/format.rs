@@ -88,19 +88,24 @@ impl Format {
 
     /// Why it cannot be made of these results, if that is so.
     pub fn obstacle(self, results: &Results) -> Option<ExportError> {
+        let obstacle = |text: &str| Some(ExportError::Obstacle(format!("--format {self}: {text}")));
         match self {
-            _ if results.views.is_empty() => Some(ExportError::NoCamera { format: self }),
-            _ if !results.has_trajectories && !self.is_of_models() => {
-                Some(ExportError::NoTrajectories { format: self })
+            _ if results.views.is_empty() => {
+                obstacle("the background was not reconstructed, so nothing has a position")
             }
+            _ if !results.has_trajectories && !self.is_of_models() => obstacle(
+                "no trajectories (trajectories.json is missing); run `tractrix run` into this folder, or export \
+                 colmap, gltf, tum or kitti",
+            ),
             _ if self.need() == Need::Meters
                 && !(results.metric_frame().is_some() && results.clock().has_seconds()) =>
             {
                 Some(ExportError::NoMeters { wanted: format!("--format {self}") })
             }
-            _ if self.need() == Need::Map && results.map().is_none() => {
-                Some(ExportError::NoMap { format: self, reason: results.why_no_map() })
-            }
+            _ if self.need() == Need::Map && results.map().is_none() => obstacle(&format!(
+                "no georeferenced positions ({}); run again with --telemetry FILE, then export again",
+                results.why_no_map()
+            )),
             Self::Cot if results.clock().utc_start_s().is_none() => Some(ExportError::NoUtc),
             _ => None,
         }

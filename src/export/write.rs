@@ -151,21 +151,29 @@ fn obstacle(format: Format, results: &Results, pictures: &Pictures) -> Option<Ex
 
 /// Refuses formats to which a rate or units do not apply.
 fn check_form(results: &Results, formats: &[Format], rate: Option<f64>) -> Result<(), ExportError> {
-    if let Some(&format) = formats.iter().find(|format| rate.is_some() && !format.is_sampled()) {
-        return Err(ExportError::NotSampled { format });
+    if let Some(format) = formats.iter().find(|format| rate.is_some() && !format.is_sampled()) {
+        let text = format!("--rate: {format} has the frames of the input; export it without --rate");
+        return Err(ExportError::Obstacle(text));
     }
     let has_units = |format: &Format| matches!(format, Format::Csv | Format::GeoJson);
     match results.units == Units::default() || formats.iter().any(has_units) {
         true => Ok(()),
-        false => Err(ExportError::NoUnits),
+        false => Err(ExportError::Obstacle(
+            "--units: only csv and geojson have units to choose; add one of them to --format, or leave out --units"
+                .into(),
+        )),
     }
 }
 
 fn resampled(results: &Results, rate: f64) -> Result<Results, ExportError> {
     if !results.clock().has_seconds() {
-        return Err(ExportError::NoTimes);
+        let text = "--rate: the images have no times; run again with --fps RATE";
+        return Err(ExportError::Obstacle(text.into()));
     }
-    results.resampled(rate).ok_or(ExportError::TooManySamples { rate })
+    results.resampled(rate).ok_or_else(|| {
+        let text = format!("--rate {rate}: more than 3.6 million rows for one vehicle; give a lower rate");
+        ExportError::Obstacle(text)
+    })
 }
 
 /// Writes one format; gives its files. Rows and events are of `sampled`, whole vehicles and all else of `results`.
