@@ -9,12 +9,4 @@ pub enum MapperError {
     /// The mapper handed over an adjustment problem that contradicts itself.
     #[error("bundle adjustment: {0}")]
     Bundle(#[from] crate::bundle::BundleError),
-    /// A frame is reported to be of a camera that was not given.
-    #[error("camera {camera} of {count} does not exist: give its intrinsics, or an estimate, with the others")]
-    NoCamera {
-        /// Its index in the list, from 0.
-        camera: usize,
-        /// Number given.
-        count: usize,
-    },
 }

@@ -210,7 +210,7 @@ pub(in crate::pipeline) fn reconstruct(
     let (threads, seed) = (run.options.threads, run.options.seed);
     let (cameras, known): (Vec<Camera>, Vec<mapper::Intrinsics>) = cameras.iter().copied().unzip();
     if let Some(view) = table.views.iter().find(|view| view.camera >= cameras.len()) {
-        return Err(crate::mapper::MapperError::NoCamera { camera: view.camera, count: cameras.len() }.into());
+        return Err(crate::features::FeatureError::NoCamera { camera: view.camera, count: cameras.len() }.into());
     }
     let (mut model, report) = on_threads(threads, || {
         // Only videos have long tracks, and one camera.
