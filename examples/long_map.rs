@@ -70,7 +70,7 @@ fn map(mut table: TrackTable, camera: Camera, known: Intrinsics) -> Result<Recon
     let pool = rayon::ThreadPoolBuilder::new().num_threads(1).build()?;
     let (model, report) = pool.install(|| {
         mapper::cut_long_tracks(&mut table, &[camera], known, &options, 0);
-        mapper::reconstruct_consuming(table, &[camera], known, &options, 0, None, &mut |_| {})
+        mapper::reconstruct_watched(table, &[camera], known, &options, 0, None, &mut |_| {})
     })?;
     let cpu = tractrix::pipeline::process_cpu_s() - cpu;
     println!(

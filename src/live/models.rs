@@ -110,7 +110,7 @@ fn place(
     let poses = object_pose_priors(&chain, *id, &sparse, options);
     let mapper_options = mapper::Options { max_starts: 1, ..options.objects.mapper.clone() };
     let (model, _) = mapper::reconstruct_watched(
-        &sparse,
+        sparse,
         &[map.camera],
         Intrinsics::FIXED,
         &mapper_options,

@@ -259,33 +259,17 @@ pub fn reconstruct(
     options: &Options,
     seed: u64,
 ) -> Result<(Reconstruction, Report), MapperError> {
-    reconstruct_watched(table, cameras, intrinsics, options, seed, None, &mut |_| {})
+    reconstruct_watched(table.clone(), cameras, intrinsics, options, seed, None, &mut |_| {})
 }
 
-/// As [`reconstruct`], which start from `poses`, where these are given. `watch` receives the finished share of the work
-/// from time to time, as far as that can be determined: starts that turn out to be needed set it back.
+/// As [`reconstruct`], from `poses`, where these are given. `watch` receives the finished share of the work from time to
+/// time, as far as that can be determined: starts that turn out to be needed set it back.
+///
+/// The tracks of a long video are dropped before the map is made of what was found: memory never has both.
 ///
 /// # Errors
 /// As [`reconstruct`].
 pub fn reconstruct_watched(
-    table: &TrackTable,
-    cameras: &[Camera],
-    intrinsics: impl Into<KnownIntrinsics>,
-    options: &Options,
-    seed: u64,
-    poses: Option<&PosePriors>,
-    watch: &mut dyn FnMut(f64),
-) -> Result<(Reconstruction, Report), MapperError> {
-    let (found, report) = found(table, cameras, intrinsics.into(), options, seed, poses, watch)?;
-    Ok(with_views(found, report, table.views.iter().cloned()))
-}
-
-/// As [`reconstruct_watched`], of tracks that are not needed any more: those of a long video and the map that is made
-/// of them do not lie in memory together.
-///
-/// # Errors
-/// As [`reconstruct`].
-pub fn reconstruct_consuming(
     table: TrackTable,
     cameras: &[Camera],
     intrinsics: impl Into<KnownIntrinsics>,

@@ -377,10 +377,11 @@ impl Mapper {
     ) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, PipelineError> {
         let options = mapper::Options { max_starts: 1, ..self.options.background.mapper.clone() };
         let (cameras, seed) = ([self.camera], self.options.seed);
+        let (keyframes, num_tracks) = (table.views.len(), table.tracks.len());
         let (model, report) =
-            mapper::reconstruct_watched(table, &cameras, self.known, &options, seed, priors, &mut |_| {})?;
-        let (registered, keyframes, found) = (model.images.len(), table.views.len(), model.points.len());
-        let needed = MIN_POINTS.max((MIN_TRIANGULATED * table.tracks.len() as f64) as usize);
+            mapper::reconstruct_watched(table.clone(), &cameras, self.known, &options, seed, priors, &mut |_| {})?;
+        let (registered, found) = (model.images.len(), model.points.len());
+        let needed = MIN_POINTS.max((MIN_TRIANGULATED * num_tracks as f64) as usize);
         Ok(if (registered as f64) < MIN_REGISTERED * keyframes as f64 || model.cameras.is_empty() {
             Err(NoMap::Registration { registered, keyframes })
         } else if found < needed {

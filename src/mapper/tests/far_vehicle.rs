@@ -93,7 +93,9 @@ fn rough_poses_take_chance_out_of_a_far_vehicle() {
         let camera = *world.object.cameras.values().next().unwrap();
         let build = |poses| {
             let options = Options::object();
-            reconstruct_watched(&table, &[camera], Intrinsics::FIXED, &options, seed, poses, &mut |_| {}).unwrap().0
+            reconstruct_watched(table.clone(), &[camera], Intrinsics::FIXED, &options, seed, poses, &mut |_| {})
+                .unwrap()
+                .0
         };
         let (alone, helped) = (build(None), build(Some(&poses)));
         let off = [&alone, &helped].map(|model| if model.is_empty() { f64::NAN } else { turned_by(model, &world) });
@@ -112,7 +114,7 @@ fn positions_that_differ_from_view_to_view_do_not_turn_the_cameras() {
         let poses = rough_poses(&world, 16.0);
         let camera = *world.object.cameras.values().next().unwrap();
         let found = reconstruct_watched(
-            &table,
+            table,
             &[camera],
             Intrinsics::FIXED,
             &Options::object(),

@@ -216,7 +216,7 @@ pub(in crate::pipeline) fn reconstruct(
         // Only videos have long tracks, and one camera.
         let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::GUESSED);
         mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
-        mapper::reconstruct_consuming(table, &cameras, known, options, seed, poses, watch)
+        mapper::reconstruct_watched(table, &cameras, known, options, seed, poses, watch)
     })??;
     if model.is_empty() {
         // Even an empty model says which cameras it would have had.
