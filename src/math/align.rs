@@ -1,14 +1,8 @@
-//! Least-squares similarity between two point sets; directions across another.
+//! Least-squares similarity between two point sets.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
-use super::{Sim3, any_across, centroid, svd3};
-
-/// Two unit directions across a unit vector and one another.
-pub fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
-    let first = any_across(direction);
-    [first, direction.cross(&first)]
-}
+use super::{Sim3, centroid, svd3};
 
 /// The similarity `target_from_source` that minimises the summed squared distance over pairs.
 ///

@@ -15,14 +15,14 @@ mod sim3;
 mod statistics;
 mod wxyz;
 
-pub use align::{across, umeyama};
+pub use align::umeyama;
 pub use decomposition::{svd3, symmetric_eigen};
 #[cfg(feature = "sfm")]
 pub(crate) use direct_linear::{epipolar_row, null_matrices};
 pub use direct_linear::{fundamental_from_points, homography_from_points};
 pub(crate) use neighbors::Neighbors;
 pub use parallax::widest_angle;
-pub use points::{any_across, centroid, is_finite};
+pub use points::{across, any_across, centroid, is_finite};
 pub use random::{Rng, seeded_rng};
 pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;

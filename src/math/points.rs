@@ -17,3 +17,9 @@ pub fn any_across(direction: &Vector3<f64>) -> Vector3<f64> {
     let axis = if direction.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     direction.cross(&axis).normalize()
 }
+
+/// Two unit directions across a unit vector and one another.
+pub fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
+    let first = any_across(direction);
+    [first, direction.cross(&first)]
+}
