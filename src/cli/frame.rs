@@ -7,11 +7,11 @@ use clap::ValueEnum;
 use serde_json::{Value, json};
 
 use super::convert::TargetFrame;
-use crate::export::local_frame;
 use crate::io::RunFolder;
 use crate::math::Sim3;
 use crate::pipeline;
 use crate::scene::{MetricAxes, MetricFrame};
+use crate::telemetry::LocalFrame;
 
 /// A frame, and its description for the file next to the model.
 pub(super) struct Placed {
@@ -45,7 +45,7 @@ pub(super) fn of(frame: TargetFrame, input: &Path) -> anyhow::Result<Option<Plac
         bail!("--frame {named}: meters are unknown; run again with a source of them, such as --camera-height");
     };
     let on_map = (metric.axes == MetricAxes::EastNorthUp).then_some(metric.origin).flatten();
-    let local = on_map.map(local_frame);
+    let local = on_map.map(|origin| LocalFrame { origin });
     let grid = match (frame, local) {
         (TargetFrame::Enu | TargetFrame::Utm, None) => {
             bail!("--frame {named}: no georeferenced positions; run again with --telemetry FILE")

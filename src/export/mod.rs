@@ -40,7 +40,7 @@ pub use error::ExportError;
 pub use facts::Facts;
 pub use format::{Format, Need};
 pub use resample::RATES;
-pub use results::{RegisteredFrame, Results, local_frame};
+pub use results::{RegisteredFrame, Results};
 pub use target::Target;
 pub use units::Units;
 pub use write::{Exported, MissingFormats, Pictures, SkippedFormat, Written, write};

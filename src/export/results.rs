@@ -14,7 +14,7 @@ use crate::scene::{
     Frame, FrameId, Ground, ImageId, MapOrigin, MapPlace, MetricAxes, MetricFrame, Motion, ObjectTrajectory, Position,
     Reconstruction, TimeBase, Trajectories, Trust, Unit,
 };
-use crate::telemetry::{Geodetic, LocalFrame};
+use crate::telemetry::LocalFrame;
 
 /// Images per second of an input without times, as are 25 frames of one.
 pub(super) const FRAMES_PER_S: f64 = 25.0;

@@ -6,6 +6,7 @@
 //! docs/maths/scale.md.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 
 use super::adjustment::Adjustment;
 use crate::math::{jackknife_groups, jackknife_std};
@@ -21,7 +22,7 @@ const OBSERVATIONS_PER_FRAME: usize = 100;
 pub(super) fn over_frames(adjustment: &Adjustment) -> Option<f64> {
     let whole = thinned(&adjustment.object);
     let ids: Vec<ImageId> = whole.images.keys().copied().collect();
-    let without = |group| without_images(&whole, &ids[group].iter().copied().collect());
+    let without = |group: Range<usize>| without_images(&whole, &ids[group].iter().copied().collect());
     let logs: Vec<f64> = jackknife_groups(ids.len()).filter_map(|group| log_size(adjustment, without(group))).collect();
     jackknife_std(&logs)
 }
