@@ -262,8 +262,8 @@ pub fn reconstruct(
     reconstruct_watched(table.clone(), cameras, intrinsics, options, seed, None, &mut |_| {})
 }
 
-/// As [`reconstruct`], from `poses`, where these are given. `watch` receives the finished share of the work from time to
-/// time, as far as that can be determined: starts that turn out to be needed set it back.
+/// As [`reconstruct`], from `poses`, where these are given. `watch` receives the finished share of the work from time
+/// to time, as far as that can be determined: starts that turn out to be needed set it back.
 ///
 /// The tracks of a long video are dropped before the map is made of what was found: memory never has both.
 ///
