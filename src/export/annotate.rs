@@ -103,6 +103,7 @@ impl<'a> Annotator<'a> {
         put_in_front(&mut ground, picture, masks);
         let borrowed: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
         let mut canvas = Canvas::new(&overlay(&ground, &borrowed))?;
+        // Height of a capital letter, as a share of the picture's shorter side.
         let capital_px = (0.021 * side).max(7.0);
         self.draw_labels(&mut canvas, frame, masks, capital_px)?;
         let lower_left = Point2::new(0.0, f64::from(picture.height()));

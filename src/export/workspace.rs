@@ -78,6 +78,7 @@ fn still(
             moving.union_with(&mask);
         }
     }
+    // Margin by which masks are widened, as a share of the longer side.
     let margin_px = (0.004 * f64::from(width.max(height))).ceil() as u32;
     Ok(moving.dilated(margin_px).complement())
 }

@@ -107,6 +107,8 @@ impl Mount {
         };
         let (angles, ratios): (Vec<f64>, Vec<f64>) = background.images.values().map(off).unzip();
         let within = |values: Vec<f64>, limit: f64| median(values).is_some_and(|typical| typical <= limit);
+        // Angle between the road and the dominant plane of a place up to which the latter is the ground, too,
+        // radians.
         within(angles, 0.07) && within(ratios, 0.25)
     }
 }
@@ -151,6 +153,7 @@ pub fn find_mount(
         return Err(MountFailure::ShortWay { heights });
     }
     let climb = possible_climb(&tracks, &fit, &images);
+    // Up to which share of the height points may leave it open whether the camera climbs.
     if !(climb <= 0.15) {
         return Err(MountFailure::MayClimb { percent: 100.0 * climb });
     }
@@ -174,6 +177,8 @@ fn way_in_cam(images: &[(FrameId, &Image)]) -> Result<Vector3<f64>, MountFailure
     let turns = |degrees| MountFailure::Turns { degrees };
     let mean = moving.iter().sum::<Vector3<f64>>().try_normalize(f64::EPSILON).ok_or(turns(90.0))?;
     let angle = median(moving.iter().map(|way| way.angle(&mean)).collect()).unwrap_or(std::f64::consts::FRAC_PI_2);
+    // Median angle of the way against its mean direction in the camera's frame up to which the camera is fixed,
+    // radians.
     if angle <= 0.04 { Ok(mean) } else { Err(turns(angle.to_degrees())) }
 }
 

@@ -202,5 +202,6 @@ fn bear_out(gaps: &[Gap]) -> bool {
     let middle = median_of(&|gap| gap.height);
     let spread = STD_PER_MAD * median_of(&|gap| (gap.height - middle).abs());
     let (own, common) = (median_of(&|gap| gap.own_std), median_of(&|gap| gap.common_std));
+    // Fewest frames in which planes of points and the road are compared.
     gaps.len() >= 5 && spread <= 3.0 * own && middle.abs() <= 3.0 * common.hypot(own)
 }

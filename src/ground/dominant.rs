@@ -182,6 +182,7 @@ fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>,
         let positions: Vec<[f64; 3]> = ground.iter().map(|&k| candidates[k].position.coords.into()).collect();
         let Some(tree) = Neighbors::new(&positions) else { return };
         let continues = |candidate: &Candidate| {
+            // Nearest ground points that predict where the ground is.
             let nearest = tree.nearest(&candidate.position.coords.into(), 16);
             let nearest: Vec<Candidate> = nearest.into_iter().map(|k| candidates[ground[k]]).collect();
             joins(candidate, &nearest, normal, least_cos)

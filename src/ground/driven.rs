@@ -155,6 +155,7 @@ impl Slope {
         let mut solution = Vector3::new(median(points.iter().map(|x| x.z).collect())?, 0.0, 0.0);
         let mut covariance = Matrix3::zeros();
         let mut kept = Vec::new();
+        // Rounds of reweighting.
         for _ in 0..20 {
             let residual = |x: &Vector3<f64>| x.z - solution.dot(&Vector3::new(1.0, x.x, x.y));
             let std = (STD_PER_MAD * median(points.iter().map(|x| residual(x).abs()).collect())?).max(least_std);
@@ -214,6 +215,7 @@ fn merged(
     let moved = |frame: FrameId, plane: &GroundPlane| {
         let mut next: Vec<(&FrameId, &&Fit)> = sure.iter().collect();
         next.sort_by_key(|(other, _)| other.0.abs_diff(frame.0));
+        // Frames next to one without points of its own, that determine the difference of the two kinds of planes.
         let gap = median(next.iter().take(9).map(|(_, fit)| fit.above).collect()).unwrap_or(middle);
         let own = plane.own_height_std().hypot(spread);
         GroundPlane {

@@ -124,6 +124,7 @@ impl Below {
         let normal = plane.normal * height.signum();
         let foot = center - normal * height.abs();
         let std = plane.height_std_at(&foot).hypot(plane.rms / (plane.num_inliers as f64).sqrt());
+        // A plane that is known no better at the camera's foot does not count, as a share of the height.
         (std <= 0.1 * height.abs()).then_some(Self { height: height.abs(), std, normal, foot })
     }
 }

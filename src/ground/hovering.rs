@@ -272,6 +272,7 @@ fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, Rect>], zoo
         let extents = (vehicle.len() as f64 / 10.0).min(3.0);
         Vehicle { weight: extents / sights.len().max(1) as f64, sights }
     };
+    // In fewer frames a path hardly shows how the ground recedes.
     vehicles.iter().filter(|images| images.len() >= 6).map(sights_of).collect()
 }
 

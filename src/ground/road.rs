@@ -81,6 +81,7 @@ impl<'a> Road<'a> {
         let nearest = self.places.values().map(|(place, _)| *place);
         let middle = nearest.min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(*foot);
         let gap = distance(&middle);
+        // Reach of the places that are averaged, in heights of the camera.
         let reach = (5.0 * self.mount.height).max(0.5 * gap);
         let weighted = self.places.values().map(|(place, normal)| {
             let away = (place - middle).norm() / reach;

@@ -70,8 +70,10 @@ impl VehicleTrajectory {
         let mut places: Vec<VehiclePosition> = seen.iter().map(|seen| seen.place(background, &foot, ratio)).collect();
         let feet: Vec<Point3<f64>> = places.iter().map(|place| place.foot).collect();
         for (k, place) in places.iter_mut().enumerate() {
+            // Over two heights of the vehicle to either side.
             place.along = direction(&feet, k, 2.0 * height).and_then(|d| level(&d, &place.up));
         }
+        // The least width of what it covers, in heights of the vehicle.
         let band = at_least_as_wide(covered(&seen, &places, &body, ratio)?, 0.6 * height);
         let is_known = height.is_finite() && feet.iter().all(is_finite);
         is_known.then_some(Self { places, band, height })
@@ -142,9 +144,11 @@ impl SharedFrame<'_> {
 /// Lateral range that the vehicle covers to the left of its path; `None` where it hardly moves.
 fn covered(seen: &[SharedFrame], places: &[VehiclePosition], body: &Body, ratio: f64) -> Option<[f64; 2]> {
     let moving: Vec<_> = seen.iter().zip(places).filter_map(|(seen, at)| Some((seen, at.foot, at.left()?))).collect();
+    // Fewest places in which a vehicle moves.
     if moving.len() < 5 {
         return None;
     }
+    // Places at which its width is measured.
     let measured = moving.iter().step_by(moving.len().div_ceil(50)).filter_map(|(seen, foot, left)| {
         let from_foot = |point: &Point3<f64>| left.dot(&(seen.in_background(point, ratio) - foot));
         body.extent(from_foot)

@@ -29,6 +29,7 @@ pub fn orientation(pairs: &[(UnitQuaternion<f64>, UnitQuaternion<f64>)]) -> Opti
     let mean = mean(&rotations)?;
     let squares: f64 = rotations.iter().map(|rotation| rotation.angle_to(&mean).powi(2)).sum();
     let spread = (squares / rotations.len() as f64).sqrt();
+    // Attitudes that disagree by more than this with the camera's motion are not those of the camera, radians.
     let agrees = spread <= 0.35 && mean.coords.iter().all(|value| value.is_finite());
     // Errors of a gimbal last as long as a flight: they do not average out.
     agrees.then(|| Orientation {

@@ -50,6 +50,7 @@ impl CameraPath {
         }
         let usual_s = (end - start) / (self.times_s.len() - 1) as f64;
         let i = self.segment(time_s);
+        // Fixes are not compared with the path in gaps of more than this many usual steps, and longer than a second.
         self.times_s[i + 1] - self.times_s[i] <= (5.0 * usual_s).max(1.0)
     }
 

@@ -110,6 +110,7 @@ fn contradictions(sources: &[&Source]) -> Vec<MetricContradiction> {
         let (log_scale, std) = mean(&others)?;
         let apart = sources[i].log_scale - log_scale;
         let deviations = apart.abs() / std.hypot(sources[i].std);
+        // Sources further apart than this contradict each other.
         (deviations > 3.0).then(|| MetricContradiction {
             source: sources[i].name.clone(),
             ratio: apart.exp(),

@@ -33,6 +33,7 @@ impl Level {
     ) -> Self {
         let upper = |pose: Rigid3| pose.rotation.inverse() * -Vector3::y();
         let poses = || background.images.values().map(|image| image.cam_from_world);
+        // Standard deviation of a camera's tilt where no ground is visible, radians.
         let (up, tilt_std) = up.unwrap_or_else(|| (poses().map(upper).sum(), 0.5));
         let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
         let first = poses().next().unwrap_or_else(Rigid3::identity);

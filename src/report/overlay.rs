@@ -32,6 +32,7 @@ pub fn object_colour(id: ObjectId) -> [u8; 3] {
     let hue = PALETTE[number % PALETTE.len()];
     match number / PALETTE.len() % 3 {
         0 => hue,
+        // Shades that stay apart from their hue in a legend.
         1 => hue.map(|part| (f32::from(part) * 0.55) as u8),
         _ => hue.map(|part| 255 - (f32::from(255 - part) * 0.5) as u8),
     }
@@ -142,6 +143,7 @@ impl Thumbnail {
     /// # Errors
     /// [`ReportError::Picture`] if the picture is empty.
     pub(super) fn new(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
+        // Longer side of a picture in the strip, pixels.
         let small = drawn(shrunk(picture, 400)?, silhouettes);
         let (width, height) = small.dimensions();
         let jpeg = jpeg(&small, 74).map_err(|source| ReportError::Picture { frame: frame.0, source })?;

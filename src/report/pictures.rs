@@ -88,6 +88,7 @@ impl PictureMaker {
             self.keep_portrait(picture, silhouette)?;
         }
         if self.of_film.contains(&frame) && self.film.is_some() {
+            // Longer side of the film, pixels.
             match self.add_to_film(frame, shrunk(picture, 640)?, &silhouettes) {
                 // Without such an encoder the page has the strip.
                 Err(FfmpegError::NoEncoder | FfmpegError::Encoder(_)) => self.film = None,
@@ -169,6 +170,7 @@ fn fitted(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
 /// A box and some of what is around it.
 fn with_border(found: BoundingBox, (width, height): (u32, u32)) -> BoundingBox {
     let longer = (found.x1 - found.x0).max(found.y1 - found.y0);
+    // Border around the mask in a portrait, as a share of the mask's longer side.
     let border = (0.15 * f64::from(longer)).ceil() as u32;
     BoundingBox {
         x0: found.x0.saturating_sub(border),

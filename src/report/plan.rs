@@ -242,11 +242,13 @@ fn holds([x, y, width, height]: [f64; 4], p: &[f64; 2]) -> bool {
 }
 
 fn dots(places: &[[f64; 2]]) -> String {
+    // Points drawn in the plan of the whole scene.
     let chosen = spread(places.len(), 2_500).into_iter().map(|i| places[i]);
     chosen.map(|[x, y]| format!("M{x:.0} {y:.0}h0")).collect()
 }
 
 fn polyline(points: &[[f64; 2]]) -> String {
+    // Vertices drawn of one path.
     let chosen = spread(points.len(), 300).into_iter().map(|i| points[i]);
     let usable = chosen.filter(drawable);
     usable.enumerate().map(|(i, [x, y])| format!("{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" })).collect()

@@ -197,6 +197,7 @@ impl LowerEdge<'_> {
             let pixel = |foot: &&Point3<f64>| camera.pixel_from_cam(image.cam_from_world * **foot);
             let is_inside = |foot: &&Point3<f64>| pixel(foot).is_some_and(|p| outline.contains(p, Self::MASK_PX));
             let num_inside = self.feet.iter().filter(is_inside).count();
+            // Share of the lowest points that lie within an outline which shows them.
             num_inside as f64 >= 0.9 * self.feet.len() as f64
         };
         let clear: Vec<_> = seen.iter().filter(shows_feet).copied().collect();
@@ -244,6 +245,7 @@ impl LowerEdge<'_> {
         let all: Vec<Point3<f64>> = self.feet.iter().filter(|foot| depth(foot, 0) <= SIDE_DEPTH).copied().collect();
         let is_inside = |foot: &&Point3<f64>| [1, 2].iter().all(|k| depth(foot, *k) > SIDE_DEPTH);
         let middle: Vec<Point3<f64>> = all.iter().filter(is_inside).copied().collect();
+        // Fewest points of a side away from its corners that say where it is.
         if middle.len() >= 10 { middle } else { all }
     }
 

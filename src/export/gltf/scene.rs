@@ -275,6 +275,7 @@ impl<'a> Scene<'a> {
         let center = view.cam_from_world.center();
         let distances = self.results.background.points.values().map(|point| (point.position - center).norm());
         let middle = crate::math::median(distances.collect()).unwrap_or(1.0);
+        // The camera's near plane, as a share of its distance to the middle of the points.
         (1e-3 * middle * self.scene_from_world.scale).max(f64::from(f32::MIN_POSITIVE))
     }
 }
@@ -287,6 +288,8 @@ fn near_points(points: &[Point3<f64>]) -> Vec<usize> {
     let distances: Vec<f64> = points.iter().map(|point| (point - center).norm()).collect();
     let mut sorted = distances.clone();
     sorted.sort_by(f64::total_cmp);
+    // Points beyond so many times the distance within which 95 % of them lie are outliers: views of the
+    // whole scene, which programs open with, would show a dot.
     let limit = sorted.get((0.95 * points.len() as f64) as usize).map_or(0.0, |near| 3.0 * near);
     (0..points.len()).filter(|&index| distances[index] <= limit).collect()
 }

@@ -249,5 +249,6 @@ fn judge(fit: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
 fn contradicts(best: &Alignment, other: &Alignment) -> bool {
     let apart_s = (other.offset_s - best.offset_s).abs();
     let std_s = best.offset_std_s.hypot(other.offset_std_s);
+    // A fit explains as much as another if it has at least this part of its fixes.
     other.num_fixes as f64 >= 0.9 * best.num_fixes as f64 && apart_s > 3.0 * std_s + 1.0
 }

@@ -120,6 +120,7 @@ pub(super) fn refine(path: &CameraPath, fixes: &[PositionFix], support: &Support
     let groups = groups(&used);
     let mut fit = Fit::new(path, support, groups, start);
     fit.weigh_by_start();
+    // Rounds in which weights and noise are found again.
     for _ in 0..12 {
         let before = (fit.state.log_scale, fit.noise[0]);
         fit.settle()?;

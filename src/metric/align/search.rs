@@ -48,6 +48,7 @@ fn grid(path: &CameraPath, fixes: &[PositionFix], offset: Offset) -> Vec<f64> {
     let (least, most) = (first.time_s - end, last.time_s - start);
     let (least, most) = match offset {
         Offset::Unknown => (least, most),
+        // Offsets of known clocks are looked for within so many deviations.
         Offset::Known { mean_s, std_s } => ((mean_s - 4.0 * std_s).max(least), (mean_s + 4.0 * std_s).min(most)),
     };
     if !(least <= most) {
@@ -77,6 +78,7 @@ fn pairs(path: &CameraPath, fixes: &[PositionFix], offset_s: f64) -> Option<Pair
     let begin = fixes.partition_point(|fix| fix.time_s - offset_s < path.span_s().0);
     let end = fixes.partition_point(|fix| fix.time_s - offset_s <= path.span_s().1);
     let inside = fixes.get(begin..end)?;
+    // Fixes that a single alignment of the grid looks at.
     let every = inside.len().div_ceil(120).max(1);
     let used = inside.iter().step_by(every).filter(|fix| path.covers(fix.time_s - offset_s));
     let (mut centers, mut positions, mut std_m) = (Vec::new(), Vec::new(), f64::INFINITY);
@@ -97,5 +99,6 @@ fn minima(curve: &[(f64, Option<f64>)]) -> Vec<f64> {
     };
     let mut found: Vec<usize> = (0..curve.len()).filter(is_minimum).collect();
     found.sort_by(|&a, &b| value(a).total_cmp(&value(b)));
+    // So many minima are looked at more closely.
     found.into_iter().take(5).map(|i| curve[i].0).collect()
 }

@@ -190,12 +190,14 @@ fn contradiction(answer: &SizeEstimate, (log_scale, std): (f64, f64)) -> Option<
     let apart = answer.log_scale - log_scale;
     let deviations = apart.abs() / std.hypot(answer.total_std());
     let oddity = Oddity::Scale(apart.exp().clamp(f64::MIN_POSITIVE, f64::MAX));
+    // Vehicles that are further from the others contradict them.
     (deviations > 3.0).then_some(OddVehicle { vehicle: answer.vehicle, oddity, deviations })
 }
 
 /// One whose proportions no vehicle of its class has.
 fn misshapen(answer: &SizeEstimate) -> Option<OddVehicle> {
     let SizeEstimate { vehicle, misfit, .. } = *answer;
+    // Proportions that are further from those of every segment are no vehicle's of the class.
     (misfit > 4.0).then_some(OddVehicle { vehicle, oddity: Oddity::Shape, deviations: misfit })
 }
 

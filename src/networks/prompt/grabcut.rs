@@ -92,6 +92,7 @@ fn cut(image: &RgbImage, window: Window, rect: &Rect) -> Result<Mask, Perception
     core::set_rng_seed(1)?;
     let rect = core::Rect::default();
     let mode = imgproc::GC_INIT_WITH_MASK;
+    // Rounds of fitting colors and cutting.
     let num_rounds = 3;
     imgproc::grab_cut(&pixels, &mut labels, rect, &mut background, &mut object, num_rounds, mode)?;
     let labels = gray_from_mat(&labels)?;

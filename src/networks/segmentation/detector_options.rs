@@ -46,6 +46,7 @@ impl DetectorOptions {
         some_of("classes", &self.classes)?;
         within("input_size", self.input_size, INPUT_SIZES)?;
         some_of("scales", &self.scales)?;
+        // At most so many looks at one frame.
         within("scales", self.scales.len(), 1..=8)?;
         self.scales.iter().try_for_each(|&scale| within("scales", scale, 0.1..=1.0))
     }

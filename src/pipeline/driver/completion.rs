@@ -110,6 +110,7 @@ fn states(path: &Path, depth: usize, found: &mut Vec<Value>) {
         json!([state.len(), state.ino(), state.mtime(), state.mtime_nsec(), state.ctime(), state.ctime_nsec()])
     });
     found.push(json!([depth, name, of_file]));
+    // Maximum depth of folders that are read.
     if is_folder && depth < 4 {
         let mut inside: Vec<PathBuf> =
             fs::read_dir(path).into_iter().flatten().flatten().map(|entry| entry.path()).collect();

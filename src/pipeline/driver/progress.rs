@@ -102,6 +102,7 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
 
 /// Number of frames that the options choose, as far as the metadata tell: a video whose container states none has 300.
 fn num_frames(options: &video::Options, info: &Info) -> f64 {
+    // Frames that a video has whose container does not say it.
     let all = f64::from(info.num_frames.unwrap_or(300));
     let index = |position: Position| match position {
         Position::Frame(index) => f64::from(index),

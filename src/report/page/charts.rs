@@ -23,6 +23,7 @@ fn charted<'d>(data: &'d Data, names: &'d [String]) -> Vec<(&'d Object<'d>, &'d 
     let mut objects: Vec<_> = data.objects.iter().zip(names).collect();
     let weight = |o: &Object| (o.trajectory.map_or(0, |t| t.poses.len()), o.visible.len());
     objects.sort_by_key(|(o, _)| (Reverse(weight(o)), o.id));
+    // Objects with a line of their own in the charts and a row of frame bars.
     objects.truncate(16);
     objects.sort_by_key(|(o, _)| o.id);
     objects
@@ -67,6 +68,7 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
 /// Returns true if a ground track has left its place by more than 3σ: charts of vehicles that stand show noise.
 fn has_moved(track: &GroundTrack) -> bool {
     let displacement = track.travel.as_ref().map(|travel| travel.displacement_units);
+    // Standard deviations of a displacement that is no noise.
     displacement.is_some_and(|displacement| displacement.value > 3.0 * displacement.std)
 }
 

@@ -107,6 +107,7 @@ impl Rays {
     /// The path of least squared errors of direction near another; that one where there is no better.
     fn refined(&self, mut path: DVector<f64>) -> DVector<f64> {
         let mut least = self.cost(&path);
+        // Rounds of the refinement, and halvings of a step in each.
         for _ in 0..20 {
             let Some(step) = self.step(&path) else { break };
             let shorter = (0..10).map(|halvings| &path + &step * 0.5_f64.powi(halvings));

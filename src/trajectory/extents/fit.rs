@@ -147,6 +147,7 @@ fn linearised(
 ) -> Option<Linear> {
     let mut columns: Vec<Vec<f64>> = Vec::with_capacity(NUM);
     for k in 0..NUM {
+        // Step of the differences, in units of the unknowns' expected deviations.
         let step = 1e-5 * expected.std[k];
         let mut moved = *value;
         moved[k] += step;

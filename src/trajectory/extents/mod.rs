@@ -233,6 +233,7 @@ impl Start {
         let images = subject.object.images.iter();
         let seen: Vec<_> =
             images.filter_map(|(id, image)| Some((image, subject.silhouettes.get(&id.frame())?))).collect();
+        // Frames that are looked at, at most, spread over all.
         let step = seen.len().div_ceil(60).max(1);
         let sight = |(image, outline): &(&Image, &Silhouette)| {
             OutlineView::new(subject.object, image, outline, &self.points, &self.vehicle_from_object)
@@ -370,6 +371,7 @@ impl Logs {
     /// Without a direction in which the object points: the longer side is its length where one clearly is.
     fn longer_first(&self, all: Extents) -> Extents {
         let difference = self.value[0] - self.value[1];
+        // Extents that differ by this many deviations are not equal.
         let is_clear = difference.abs() > 2.0 * self.std[0].hypot(self.std[1]);
         match (is_clear, difference > 0.0) {
             (true, true) => all,

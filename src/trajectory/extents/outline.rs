@@ -51,6 +51,8 @@ impl OutlineView {
             let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
             let normal = Vector2::new(angle.cos(), angle.sin());
             let support = support(&hull, &normal) + border;
+            // By how many of these deviations points of the vehicle may lie outside of an outline before the vehicle
+            // counts as hidden there.
             (reach(&inside, &normal)? <= support + 2.0 * std).then_some(Touch { normal, support })
         });
         let touches: Vec<Touch> = touches.collect();
@@ -80,6 +82,7 @@ pub(super) fn support(points: &[Vector2<f64>], normal: &Vector2<f64>) -> f64 {
 
 /// Support of nearly all points in a direction: inside of an outline that hides nothing.
 fn reach(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
+    // Share of the points that lie inside of an outline that hides nothing.
     quantile(&mut points.iter().map(|p| normal.dot(p)).collect::<Vec<_>>(), 0.97)
 }
 

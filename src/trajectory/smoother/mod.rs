@@ -181,6 +181,7 @@ impl PositionMeasurement {
     /// Relative to an origin nearby, which keeps the numbers small.
     fn observed(&self, origin: &Vector3<f64>) -> Observed {
         let ray = self.position_m - self.camera_m;
+        // Errors of headings, radians: new in every frame, and wandering.
         let distance = ray.norm().max(1e-3);
         let sight = ray / distance;
         let along = sight * sight.transpose();

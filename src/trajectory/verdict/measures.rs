@@ -105,6 +105,7 @@ fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [
     let of_frame = |pose: &ObjectPose| {
         let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
         let mut heights = heights(plane, pose, points);
+        // Half of the time over which a path is smoothed, seconds, and the least number of neighbors on either side.
         let [bottom, middle, top] = [BOTTOM, 0.5, MOST].map(|share| finite_quantile(&mut heights, share));
         Some((pose.frame, [bottom?, middle?, top?]))
     };
@@ -128,6 +129,8 @@ fn heights(plane: &GroundPlane, pose: &ObjectPose, points: &[Point3<f64>]) -> Ve
 /// small share of the height of its top.
 fn middles(candidate: &Candidate, over_ground: &[(FrameId, [f64; 3])], height: f64) -> Vec<f64> {
     let own_std = |frame: &FrameId| candidate.planes.get(frame).map_or(0.0, GroundPlane::own_height_std);
+    // Standard deviation of a plane's own height, as a share of that of the vehicle's top, beyond which it cannot
+    // tell whether this one rises or sinks.
     let tells = |frame: &FrameId| !(own_std(frame) > 0.08 * height);
     over_ground.iter().filter(|(frame, _)| tells(frame)).map(|(_, [_, middle, _])| *middle).collect()
 }

@@ -304,6 +304,7 @@ fn ranges(numbers: &[u32]) -> String {
         _ => run.iter().map(u32::to_string).collect(),
     };
     let words: Vec<String> = numbers.chunk_by(|a, b| a + 1 == *b).map(word).collect();
+    // Ranges in a message.
     match words.split_at_checked(5) {
         Some((shown, more)) if !more.is_empty() => format!("{} and {} more ranges", shown.join(", "), more.len()),
         _ => words.join(", "),

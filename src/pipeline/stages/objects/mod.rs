@@ -265,6 +265,7 @@ fn one_object(
 /// A mask, grown by what its border may be off: a pixel, and a hundredth of its longer side.
 fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
     let longer_px = f64::from(bounds.width().max(bounds.height()));
+    // Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
     mask.dilated((1.0 + 0.01 * longer_px).round() as u32)
 }
 
