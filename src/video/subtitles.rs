@@ -8,8 +8,8 @@ use crate::scene::Timed;
 
 /// Reads the first text track of a video, or a file of subtitles (SRT, WebVTT, ASS).
 ///
-/// Returns the texts in the order of the file, with line breaks and markup; bytes that are no UTF-8 are replaced. None if
-/// it has no text track. Nothing is decoded, so that it takes little more time than reading the file.
+/// Returns the texts in the order of the file, with line breaks and markup; bytes that are no UTF-8 are replaced.
+/// `None` if it has no text track. Nothing is decoded, so that it takes little more time than reading the file.
 ///
 /// * `track` – video track whose clock counts, as [`Options::track`](super::Options::track).
 ///
