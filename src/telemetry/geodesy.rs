@@ -5,13 +5,12 @@
 
 use map_3d::{Ellipsoid, enu2geodetic, geodetic2enu};
 use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3, point};
-use serde::{Deserialize, Serialize};
 
 use crate::math::Sim3;
 use crate::scene::MapOrigin;
 
 /// A place by longitude, latitude and height.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geodetic {
     /// East of Greenwich, degrees.
     pub longitude_deg: f64,
@@ -23,7 +22,7 @@ pub struct Geodetic {
 }
 
 /// Axes east, north and up at a place, metres; the place is (0, 0, 0).
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
     /// The place, and whether heights are absolute.
     pub origin: MapOrigin,
