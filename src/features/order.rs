@@ -26,6 +26,7 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, Feat
         return Ok(0.0);
     }
     let mut corners = Vector::<Point2f>::new();
+    // Three hundred corners show a share to a few percent, and cost little.
     opencv::imgproc::good_features_to_track(
         &borrowed_gray(&first)?,
         &mut corners,
@@ -48,6 +49,7 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, Feat
     let followed = tracker.there_and_back(&pyramids.0, &pyramids.1, &corners, &corners);
     let is_near = |(start, followed): &(&Point2<f32>, Option<Returned>)| {
         let max_motion_px = LONGER_SIDE_PX as f32 / 20.0;
+        // Tracked to a pixel there and back.
         followed.is_some_and(|f| f.round_trip_px <= 1.0 && (f.position - *start).norm() <= max_motion_px)
     };
     let count = corners.iter().zip(followed).filter(is_near).count();

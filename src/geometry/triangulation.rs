@@ -100,6 +100,7 @@ fn candidate_pairs(n: usize) -> Vec<(usize, usize)> {
     }
     let mut pairs = vec![(0, n - 1)];
     let half = n / 2;
+    // About eight pairs of views half a track apart, spread over the track.
     let step = (half / 8).max(1);
     pairs.extend((0..n - half).step_by(step).map(|i| (i, i + half)));
     pairs

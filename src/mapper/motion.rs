@@ -172,6 +172,7 @@ fn is_planar(map: &Map<'_>) -> bool {
         thickness = thickness.min(limit);
         points = points.iter().zip(&off).filter(|(_, d)| **d <= 3.0 * limit).map(|(p, _)| *p).collect();
     }
+    // Points within a hundredth of their distance are a plane as far as a pair of views shows.
     thickness <= 0.01 * distance
 }
 

@@ -181,6 +181,7 @@ fn contradicted_by(map: &Map<'_>, [a, b]: [usize; 2], found: &TwoViewGeometry) -
     let in_map = second * first.inverse();
     let turn_deg = in_map.rotation.angle_to(&found.cam2_from_cam1.rotation).to_degrees();
     let direction_deg = in_map.translation.angle(&found.cam2_from_cam1.translation).to_degrees();
+    // A homography explains most matches: the direction of motion is then ambiguous.
     let is_planar = found.homography_ratio > 0.8;
     // Well above what two-view rotations err by with the required inliers.
     !is_planar && (turn_deg > 3.0 || (found.median_angle.to_degrees() >= 2.0 && direction_deg > 25.0))

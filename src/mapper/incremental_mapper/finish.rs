@@ -61,6 +61,7 @@ impl IncrementalMapper<'_> {
             self.noise = self.map.noise();
             let limits = self.limits();
             let changed = self.map.update_observations(&limits);
+            // Converged: hardly an observation changes.
             if changed as f64 <= 0.002 * self.map.num_observations() as f64 {
                 break;
             }

@@ -22,6 +22,7 @@ impl IncrementalMapper<'_> {
             return Ok(());
         }
         let longest_px = self.map.cameras.iter().map(|c| c.width.max(c.height)).max().unwrap_or(0);
+        // The adjusted map shows which joints are still open.
         for _ in 0..2 {
             let open = self.map.open_joints(WIDEST * f64::from(longest_px), self.options.max_track_views);
             tracing::debug!("{} observations of re-detected points are outliers", open.len());

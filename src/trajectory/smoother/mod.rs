@@ -252,6 +252,7 @@ fn headings(sightings: &[PositionMeasurement]) -> Option<Track> {
         observed.push(Observed {
             time_s: sighting.time_s,
             value: DVector::from_element(1, unwrapped),
+            // Headings err by 0.001 rad, independently in every frame, and drift.
             noise: DMatrix::from_element(1, 1, 1e-6),
             drift: DMatrix::from_element(1, 1, 1e-2),
         });

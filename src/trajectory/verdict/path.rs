@@ -45,6 +45,7 @@ fn jitter(measures: &Measures) -> Option<Reason> {
     let jitter = measures.jitter?;
     let heights = measures.in_heights(jitter)?;
     let said = || format!("positions deviate from a smooth trajectory by {} of its height", percent(heights));
+    // Jitter that is small against a step does not hide the motion.
     if jitter < 0.25 * measures.step { None } else { graded(Path, heights, [0.3, 1.0], said) }
 }
 
