@@ -68,7 +68,7 @@ pub use heading::{forward_axis, headings};
 pub use intersection::{Intersection, intersection};
 pub use joint::{Joint, JointOptions, joint};
 pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
-pub use place::{Adjustment, AdjustmentFigures, Evidence, ModelOrigin, PlacedObject, place};
+pub use place::{Adjustment, AdjustmentFigures, DroppedFrames, Evidence, ModelOrigin, PlacedObject, place};
 pub use relative_motion::{RelativeMotion, motion_by_shaking};
 pub use smoother::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 pub use stationary::{LevelledPlanes, place_stationary, planes_at_level};

@@ -55,8 +55,17 @@ pub struct PlacedObject {
     pub trajectory: Result<ObjectTrajectory, ScaleError>,
     /// Covariance of the position in each frame, in the frame and unit of the background, without that of the ratio.
     pub pose_covariances: BTreeMap<FrameId, Matrix3<f64>>,
-    /// Frames without a position since its standard deviation exceeds the size of the model, ascending.
-    pub dropped: Vec<FrameId>,
+    /// Frames in which the model has a pose, but no position.
+    pub dropped: DroppedFrames,
+}
+
+/// Frames whose pose says nothing of where the vehicle is, ascending.
+#[derive(Clone, Debug, Default)]
+pub struct DroppedFrames {
+    /// The standard deviation of the position exceeds the size of the model.
+    pub uncertain: Vec<FrameId>,
+    /// The motion before and after contradicts the position.
+    pub contradicted: Vec<FrameId>,
 }
 
 /// Outcome of the adjustment with the ground.
@@ -124,12 +133,11 @@ impl Evidence<'_> {
         options: &Options,
     ) -> PlacedObject {
         let mut trajectory = scale.and_then(|scale| self.trajectory(&object, scale));
-        let (mut pose_covariances, mut dropped) = (BTreeMap::new(), Vec::new());
+        let (mut pose_covariances, mut dropped) = (BTreeMap::new(), DroppedFrames::default());
         if let Ok(trajectory) = &mut trajectory {
-            let ratio = trajectory.scale.ratio;
-            pose_covariances = pose_error::pose_covariances(self.background, &object, ratio);
+            pose_covariances = pose_error::pose_covariances(self.background, &object, trajectory.scale.ratio);
             if self.origin == ModelOrigin::Reconstructed && !options.method_only {
-                dropped = pose_error::drop_unsure(&mut trajectory.poses, &pose_covariances, &object, ratio);
+                dropped = pose_error::drop_wrong(trajectory, &pose_covariances, self.background, &object);
             }
         }
         PlacedObject { object, adjustment, trajectory, pose_covariances, dropped }

@@ -7,12 +7,14 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Matrix6, Point3, SMatrix};
+use nalgebra::{Matrix3, Matrix6, Point3, SMatrix, Vector3};
 
 use super::assemble::object_center;
 use super::contact::{ContactOptions, solid_points};
+use super::place::DroppedFrames;
+use super::smoother::{PositionError, PositionMeasurement, Residual, residuals};
 use crate::math::quantile_range;
-use crate::scene::{FrameId, Image, ObjectPose, Reconstruction};
+use crate::scene::{FrameId, Image, ObjectPose, ObjectTrajectory, Reconstruction};
 
 /// Least standard deviation of an observation, pixels: corners are not found better, and of the few that are left at
 /// the end of a track the residuals are fitted away.
@@ -58,23 +60,70 @@ fn position_covariance(object: &Reconstruction, image: &Image, center: Point3<f6
     is_covariance.then_some(covariance)
 }
 
-/// Takes out the poses whose standard deviation exceeds the size of the model: they say nothing of where the vehicle
-/// is. Gives their frames. All stay where hardly any would be left.
-pub(super) fn drop_unsure(
-    poses: &mut Vec<ObjectPose>,
+/// Takes out the poses that say nothing of where the vehicle is. All stay where hardly any would be left.
+pub(super) fn drop_wrong(
+    trajectory: &mut ObjectTrajectory,
     covariances: &BTreeMap<FrameId, Matrix3<f64>>,
+    background: &Reconstruction,
     object: &Reconstruction,
-    ratio: f64,
-) -> Vec<FrameId> {
-    let Some(size) = model_size(object).map(|size| ratio * size) else { return Vec::new() };
-    let std = |pose: &ObjectPose| covariances.get(&pose.frame).map_or(f64::INFINITY, |c| c.trace().max(0.0).sqrt());
-    let dropped: Vec<FrameId> = poses.iter().filter(|pose| std(pose) > size).map(|pose| pose.frame).collect();
+) -> DroppedFrames {
+    let Some(size) = model_size(object).map(|size| trajectory.scale.ratio * size) else {
+        return DroppedFrames::default();
+    };
+    let poses = &mut trajectory.poses;
+    let uncertain = uncertain(poses, covariances, size);
+    let uncertain = take_out(poses, uncertain);
+    let contradicted = contradicted(poses, covariances, background, size);
+    let contradicted = take_out(poses, contradicted);
+    DroppedFrames { uncertain, contradicted }
+}
+
+fn take_out(poses: &mut Vec<ObjectPose>, frames: Vec<FrameId>) -> Vec<FrameId> {
     // Fewer than four have no smooth path.
-    if poses.len() < 4 + dropped.len() {
+    if poses.len() < 4 + frames.len() {
         return Vec::new();
     }
-    poses.retain(|pose| !dropped.contains(&pose.frame));
-    dropped
+    poses.retain(|pose| !frames.contains(&pose.frame));
+    frames
+}
+
+/// Frames in which the standard deviation of the position exceeds the size of the model.
+fn uncertain(poses: &[ObjectPose], covariances: &BTreeMap<FrameId, Matrix3<f64>>, size: f64) -> Vec<FrameId> {
+    let std = |pose: &ObjectPose| covariances.get(&pose.frame).map_or(f64::INFINITY, |c| c.trace().max(0.0).sqrt());
+    poses.iter().filter(|pose| std(pose) > size).map(|pose| pose.frame).collect()
+}
+
+/// Standard deviations from the smooth motion beyond which a position contradicts it: right ones are up to 3 off, one
+/// of a mask that slipped to a parked car was 800.
+const CONTRADICTS: f64 = 6.0;
+/// The least such distance, as a share of the model's diagonal: the smoothed path follows smaller ones.
+const MATTERS: f64 = 0.25;
+
+/// Frames whose position the motion before and after contradicts: their pixels agree with one another, but are not
+/// those of the vehicle, as where its mask slips to another vehicle while it is hidden.
+fn contradicted(
+    poses: &[ObjectPose],
+    covariances: &BTreeMap<FrameId, Matrix3<f64>>,
+    background: &Reconstruction,
+    size: f64,
+) -> Vec<FrameId> {
+    // The smoother knows how vehicles accelerate in meters; the diagonal of a car is 5 m.
+    let unit = 5.0 / size;
+    let measurement = |pose: &ObjectPose| {
+        Some(PositionMeasurement {
+            time_s: pose.time_s,
+            position_m: unit * Vector3::from(pose.position),
+            camera_m: unit * background.images.get(&pose.frame.into())?.cam_from_world.center().coords,
+            forward: None,
+            error: PositionError::Model { pose: covariances.get(&pose.frame)? * (unit * unit) },
+        })
+    };
+    let measured: Option<Vec<_>> = poses.iter().map(measurement).collect();
+    let Some(residuals) = measured.and_then(|measured| residuals(&measured)) else { return Vec::new() };
+    let is_contradicted =
+        |residual: &Residual| residual.deviation > CONTRADICTS && residual.distance_m > MATTERS * unit * size;
+    let found = poses.iter().zip(&residuals).filter(|(_, residual)| is_contradicted(residual));
+    found.map(|(pose, _)| pose.frame).collect()
 }
 
 /// Diagonal of the box around the points that count.
@@ -170,13 +219,42 @@ mod tests {
         }
         let covariances = pose_covariances(&world.background, &world.object, world.ratio);
         let mut poses = super::super::assemble::poses(&world.background, &world.object, world.ratio, &world.frames);
-        let dropped = drop_unsure(&mut poses, &covariances, &world.object, world.ratio);
+        let size = world.ratio * model_size(&world.object).unwrap();
+        let frames = uncertain(&poses, &covariances, size);
+        let dropped = take_out(&mut poses, frames);
         assert!(dropped.len() >= 3 && dropped.iter().all(|frame| frame.0 >= 52), "{dropped:?}");
         assert_eq!(poses.len(), 60 - dropped.len());
         // Of a model without observations nothing is known, and everything stays.
         world.object.images.values_mut().for_each(|image| image.observations.clear());
         let none = pose_covariances(&world.background, &world.object, world.ratio);
-        assert!(none.is_empty() && drop_unsure(&mut poses, &none, &world.object, world.ratio).is_empty());
+        let frames = uncertain(&poses, &none, size);
+        assert!(none.is_empty() && !frames.is_empty() && take_out(&mut poses, frames).is_empty());
+    }
+
+    #[test]
+    fn a_position_off_the_path_is_contradicted_before_a_gap_and_within() {
+        // The camera of the object is moved along the vehicle, as by the points of a parked car that its mask slipped
+        // to: they agree with one another, the path does not.
+        let mut world = drive(&drive::Options::default(), 4);
+        let forward = Vector3::x();
+        for frame in 31..45 {
+            world.object.images.remove(&ImageId::from(FrameId(frame)));
+        }
+        let size = model_size(&world.object).unwrap();
+        for (frame, share) in [(30, 0.8), (50, -0.5), (55, 0.1)] {
+            let image = world.object.images.get_mut(&ImageId::from(FrameId(frame))).unwrap();
+            let moved = image.cam_from_world.rotation * (forward * (share * size));
+            image.cam_from_world.translation += moved;
+            for observation in &mut image.observations {
+                let Some(point) = observation.point.and_then(|id| world.object.points.get(&id)) else { continue };
+                let in_cam = image.cam_from_world * point.position;
+                observation.pixel = world.object.cameras[&image.camera].pixel_from_cam(in_cam).unwrap();
+            }
+        }
+        let covariances = pose_covariances(&world.background, &world.object, world.ratio);
+        let poses = super::super::assemble::poses(&world.background, &world.object, world.ratio, &world.frames);
+        let found = contradicted(&poses, &covariances, &world.background, world.ratio * size);
+        assert_eq!(found, [30, 50].map(FrameId));
     }
 
     #[test]

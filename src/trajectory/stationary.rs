@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Matrix3, Vector3};
 
-use super::place::{Adjustment, Evidence, PlacedObject};
+use super::place::{Adjustment, DroppedFrames, Evidence, PlacedObject};
 use super::pose_error::MIN_PIXEL_STD;
 use super::verdict::bottom_height;
 use crate::math::{median, widest_angle};
@@ -60,7 +60,7 @@ pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f6
         Some((pose.frame, Matrix3::identity() * (std * std)))
     };
     let pose_covariances = trajectory.poses.iter().filter_map(covariance).collect();
-    let (adjustment, dropped) = (Adjustment::None, Vec::new());
+    let (adjustment, dropped) = (Adjustment::None, DroppedFrames::default());
     Some(PlacedObject { object, adjustment, trajectory: Ok(trajectory), pose_covariances, dropped })
 }
 

@@ -266,7 +266,10 @@ impl<'a, 'r> Scene<'a, 'r> {
             Ok(trajectory) => {
                 outcome.outputs.push(point_cloud::object(run, &trajectory, &placed.object)?);
                 warn_of_scale(&trajectory, outcome);
-                warn_of_dropped(tracked.id, &placed.dropped, outcome);
+                let too_few = "standard deviation above the size of the vehicle, too few points visible";
+                warn_of_dropped(tracked.id, &placed.dropped.uncertain, too_few, outcome);
+                let elsewhere = "contradicted by the motion before and after; its mask may be on another object there";
+                warn_of_dropped(tracked.id, &placed.dropped.contradicted, elsewhere, outcome);
                 found.results.pose_covariances.insert(tracked.id, placed.pose_covariances);
                 let subject = Subject {
                     trajectory: &trajectory,
@@ -290,15 +293,10 @@ impl<'a, 'r> Scene<'a, 'r> {
     }
 }
 
-fn warn_of_dropped(id: ObjectId, dropped: &[FrameId], outcome: &mut Outcome) {
-    if let (Some(first), Some(last)) = (dropped.first(), dropped.last()) {
-        let text = format!(
-            "object {id}: no position in {} frames between {} and {}: standard deviation above the size of the \
-             vehicle, too few points visible",
-            dropped.len(),
-            first.0,
-            last.0
-        );
+fn warn_of_dropped(id: ObjectId, dropped: &[FrameId], reason: &str, outcome: &mut Outcome) {
+    if !dropped.is_empty() {
+        let frames = background::ranges(dropped);
+        let text = format!("object {id}: no position in {} frames ({frames}): {reason}", dropped.len());
         outcome.warn(Topic::FramesNotRegistered.warning(text));
     }
 }

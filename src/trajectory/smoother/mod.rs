@@ -102,7 +102,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
         return None;
     }
     let origin = sightings[0].position_m;
-    let in_motion = track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &MOVING)?;
+    let in_motion = in_motion(sightings)?;
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
     let response = |errors: Vec<DVector<f64>>| in_motion.response(&errors);
@@ -129,6 +129,34 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
     let lengths = [path_m, displacement_m, max_speed_m_s];
     let are_finite = lengths.iter().all(|e| e.value.is_finite() && e.std.is_finite()) && motions.iter().all(is_finite);
     are_finite.then_some(Smoothed { motions, path_m, displacement_m, max_speed_m_s })
+}
+
+/// How far a position is from the smooth motion through all of them.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Residual {
+    pub(super) distance_m: f64,
+    /// In standard deviations of the errors that are new in every frame.
+    pub(super) deviation: f64,
+}
+
+/// The residuals of a moving vehicle; `None` as for [`smooth`].
+pub(super) fn residuals(sightings: &[PositionMeasurement]) -> Option<Vec<Residual>> {
+    if sightings.len() < 4 || !sightings.iter().all(PositionMeasurement::is_usable) {
+        return None;
+    }
+    let origin = sightings[0].position_m;
+    let track = in_motion(sightings)?;
+    let residual = |(k, seen): (usize, &PositionMeasurement)| {
+        let smoothed = track.states[k].mean.fixed_rows::<3>(0) + origin;
+        Residual { distance_m: (seen.position_m - smoothed).norm(), deviation: track.squares[k].sqrt() }
+    };
+    Some(sightings.iter().enumerate().map(residual).collect())
+}
+
+/// The positions of a vehicle that moves, relative to the first.
+fn in_motion(sightings: &[PositionMeasurement]) -> Option<Track> {
+    let origin = sightings.first()?.position_m;
+    track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &MOVING)
 }
 
 /// The positions of a vehicle at rest; `None` where they are likelier in motion, or where only a ratio that is off by

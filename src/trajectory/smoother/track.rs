@@ -57,6 +57,9 @@ pub(super) struct Track {
     pub(super) states: Vec<Gaussian>,
     /// See [`Smoothed`].
     pub(super) gains: Vec<DMatrix<f64>>,
+    /// Squared deviations of the observations from the smoothed quantity and the smoothed errors that wander, in units
+    /// of their noise.
+    pub(super) squares: Vec<f64>,
     first: Gaussian,
     steps: Vec<Step>,
 }
@@ -125,6 +128,21 @@ impl Kind {
         Step { transition, process, observation, noise: &seen.noise * (level.noise * level.noise / weight) }
     }
 
+    /// See [`Track::squares`].
+    fn squares<'a>(
+        &'a self,
+        all: &'a [Observed],
+        states: &'a [Gaussian],
+        level: Level,
+    ) -> impl Iterator<Item = f64> + 'a {
+        all.iter().zip(states).map(move |(seen, state)| {
+            let axes = seen.value.len();
+            let drift = state.mean.rows(3 * axes, self.drift_s.len());
+            let off = &seen.value - state.mean.rows(0, axes) - &seen.drift * drift;
+            seen.noise.clone().cholesky().map_or(0.0, |c| off.dot(&c.solve(&off))) / level.noise.powi(2)
+        })
+    }
+
     /// Logarithm of the posterior of a level.
     fn posterior(&self, all: &[Observed], weights: &[f64], level: Level) -> Option<f64> {
         let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
@@ -165,18 +183,14 @@ pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
             level = kind.best_level(all, &weights, level);
         }
         let Smoothed { states, .. } = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
-        let weight = |(seen, state): (&Observed, &Gaussian)| {
-            let axes = seen.value.len();
-            let drift = state.mean.rows(3 * axes, kind.drift_s.len());
-            let off = &seen.value - state.mean.rows(0, axes) - &seen.drift * drift;
-            let square = seen.noise.clone().cholesky().map_or(0.0, |c| off.dot(&c.solve(&off)));
-            (STUDENT + axes as f64) / (STUDENT + square / level.noise.powi(2))
-        };
-        weights = all.iter().zip(&states).map(weight).map(|w: f64| w.min(1.0)).collect();
+        let axes = values[0].len() as f64;
+        let weight = |square: f64| ((STUDENT + axes) / (STUDENT + square)).min(1.0);
+        weights = kind.squares(all, &states, level).map(weight).collect();
     }
     let steps = kind.steps(all, &weights, level);
     let Smoothed { states, gains } = chain::smooth(&first, &steps, &values)?;
-    Some(Track { states, gains, first, steps })
+    let squares = kind.squares(all, &states, level).collect();
+    Some(Track { states, gains, squares, first, steps })
 }
 
 /// Returns true if a quantity at rest is more likely than one that moves.

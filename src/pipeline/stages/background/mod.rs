@@ -289,7 +289,7 @@ pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outc
         *reasons.entry(reason).or_default() += 1;
     }
     let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
-    let frames: Vec<u32> = report.unregistered.keys().map(|frame| frame.0).collect();
+    let frames: Vec<FrameId> = report.unregistered.keys().copied().collect();
     outcome.warn(Topic::FramesNotRegistered.warning(format!(
         "{target}: {missing} of {} frames not registered ({}); most frequent reason: {commonest}",
         report.num_visible,
@@ -297,13 +297,13 @@ pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outc
     )));
 }
 
-/// Ascending numbers in words: "3 to 7, 9", the first few ranges of them.
-fn ranges(numbers: &[u32]) -> String {
-    let word = |run: &[u32]| match run {
-        [first, .., last] => format!("{first} to {last}"),
-        _ => run.iter().map(u32::to_string).collect(),
+/// Ascending frames in words: "3 to 7, 9", the first few ranges of them.
+pub(in crate::pipeline) fn ranges(frames: &[FrameId]) -> String {
+    let word = |run: &[FrameId]| match run {
+        [first, .., last] => format!("{} to {}", first.0, last.0),
+        _ => run.iter().map(|frame| frame.0.to_string()).collect(),
     };
-    let words: Vec<String> = numbers.chunk_by(|a, b| a + 1 == *b).map(word).collect();
+    let words: Vec<String> = frames.chunk_by(|a, b| a.0 + 1 == b.0).map(word).collect();
     // Ranges in a message.
     match words.split_at_checked(5) {
         Some((shown, more)) if !more.is_empty() => format!("{} and {} more ranges", shown.join(", "), more.len()),
@@ -317,8 +317,8 @@ mod tests {
 
     #[test]
     fn missing_frames_are_named_in_ranges() {
-        assert_eq!(ranges(&[3, 4, 5, 9, 11, 12]), "3 to 5, 9, 11 to 12");
-        assert_eq!(ranges(&[0, 2, 4, 6, 8, 10, 12]), "0, 2, 4, 6, 8 and 2 more ranges");
+        assert_eq!(ranges(&[3, 4, 5, 9, 11, 12].map(FrameId)), "3 to 5, 9, 11 to 12");
+        assert_eq!(ranges(&[0, 2, 4, 6, 8, 10, 12].map(FrameId)), "0, 2, 4, 6, 8 and 2 more ranges");
     }
 
     #[test]
