@@ -123,7 +123,7 @@ impl Vehicles {
         let first_s = time_s(self.vehicles.get(&object)?.rects.keys().next()?)?;
         let gap_s =
             first_s - time_s(lost.rects.keys().rev().find(|frame| time_s(frame).is_some_and(|s| s < first_s))?)?;
-        let pair = Pair { before: 0, after: 1, gap_s, evidence: after.evidence };
+        let pair = Pair { before: 0, after: 1, gap_s, evidence: after.evidence, is_turned: false };
         same(&pair).ok().and(lost.identity.as_ref()).map(|lost| lost.id)
     }
 

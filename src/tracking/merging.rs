@@ -51,6 +51,8 @@ pub struct Pair {
     pub gap_s: f64,
     /// Evidence that both are one object.
     pub evidence: IdentityEvidence,
+    /// The views show different sides of the vehicle, which have few points in common.
+    pub is_turned: bool,
 }
 
 /// Outcomes of all pairs.
@@ -72,9 +74,6 @@ pub fn same(pair: &Pair) -> Result<f64, String> {
     if place > 1.0 {
         return Err("too far from its predicted position".to_owned());
     }
-    if size.is_some_and(|size| !is_same_size(size)) {
-        return Err("different size".to_owned());
-    }
     let colours = colours.unwrap_or(0.0);
     if colours < MIN_SIMILARITY {
         return Err("different colors".to_owned());
@@ -83,7 +82,10 @@ pub fn same(pair: &Pair) -> Result<f64, String> {
     let least = MIN_POINTS + num_matches.unwrap_or(0) / MATCHES_PER_POINT;
     match num_points {
         Some(points) if points >= least => {}
-        Some(points) if points < FEW_POINTS => {
+        // Of a piece that is partly hidden to its end the size says nothing, its points do; the side of a vehicle is
+        // two to three times as large as its rear.
+        _ if !pair.is_turned && size.is_some_and(|size| !is_same_size(size)) => return Err("different size".to_owned()),
+        Some(points) if points < FEW_POINTS && !pair.is_turned => {
             return Err(format!("both are textured, but share only {points} points"));
         }
         _ if by_place => {}
@@ -273,7 +275,7 @@ mod tests {
     }
 
     fn pair(before: usize, after: usize, evidence: IdentityEvidence) -> Pair {
-        Pair { before, after, gap_s: 1.0, evidence }
+        Pair { before, after, gap_s: 1.0, evidence, is_turned: false }
     }
 
     fn spans(spans: &[(u32, u32)]) -> Vec<Span> {
@@ -283,10 +285,12 @@ mod tests {
     #[test]
     fn each_kind_of_evidence_can_refuse() {
         assert!(same(&pair(0, 1, SURE)).is_ok());
+        // Points in common outweigh the size of a piece that may be partly hidden.
+        assert!(same(&pair(0, 1, IdentityEvidence { size: Some(3.0), ..SURE })).is_ok());
         let refused = [
             (IdentityEvidence { place: Some(1.2), ..SURE }, "far"),
             (IdentityEvidence { place: None, ..SURE }, "cannot be predicted"),
-            (IdentityEvidence { size: Some(3.0), ..SURE }, "size"),
+            (IdentityEvidence { size: Some(3.0), num_points: Some(7), ..SURE }, "size"),
             (IdentityEvidence { colours: Some(0.5), ..SURE }, "colors"),
             (IdentityEvidence { num_points: Some(1), ..SURE }, "share only"),
             (IdentityEvidence { num_points: Some(7), place: Some(0.8), ..SURE }, "conclusive"),
@@ -295,6 +299,9 @@ mod tests {
         for (evidence, why) in refused {
             assert!(same(&pair(0, 1, evidence)).unwrap_err().contains(why), "{why}");
         }
+        // Of its other side no points are expected.
+        let few = pair(0, 1, IdentityEvidence { num_points: Some(1), ..SURE });
+        assert!(same(&Pair { is_turned: true, ..few }).is_ok());
     }
 
     #[test]

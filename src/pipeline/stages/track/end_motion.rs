@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::Point3;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 
 use crate::motion::View;
 use crate::pipeline::stages::motion::World;
@@ -19,6 +19,21 @@ const TOLERATED_SIDES: f64 = 0.6;
 const TOLERATED_SIDES_PER_S: f64 = 0.1;
 /// The same as a share of the way that it goes meanwhile: vehicles brake and turn.
 const TOLERATED_WAY: f64 = 0.2;
+
+/// Two views of one vehicle from directions that are this far apart, radians, need have no points in common: features
+/// of a car are recognized up to some 40°.
+const MAX_TURN: f64 = 0.7;
+
+/// How well a course continues another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fit {
+    /// Distance from the predicted position, as a share of the tolerance.
+    pub(super) place: f64,
+    /// Ratio of areas at one distance.
+    pub(super) size: f64,
+    /// The views show different sides of the vehicle.
+    pub(super) is_turned: bool,
+}
 
 /// Position of an object by its mask.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -61,7 +76,15 @@ pub(super) struct EndMotion {
     /// The largest one near the end.
     pub(super) largest: Spot,
     /// Position on the ground there and velocity, in the background's frame and per second.
-    on_ground: Option<(Point3<f64>, nalgebra::Vector3<f64>)>,
+    on_ground: Option<(Point3<f64>, Vector3<f64>)>,
+}
+
+impl EndMotion {
+    /// Position on the ground when it was largest.
+    fn largest_on_ground(&self) -> Option<Point3<f64>> {
+        let (place, velocity) = self.on_ground?;
+        Some(place + velocity * (self.largest.time_s - self.spot.time_s))
+    }
 }
 
 /// Which of a piece's frames say how it moves at an end of it, from the end on.
@@ -90,13 +113,13 @@ pub(super) fn course(spots: &[Spot], world: Option<&Ground<'_>>) -> Option<EndMo
 }
 
 /// Position at time zero and velocity, by least squares; at rest where there is one place only.
-fn line(places: &[(f64, Point3<f64>)]) -> Option<(Point3<f64>, nalgebra::Vector3<f64>)> {
+fn line(places: &[(f64, Point3<f64>)]) -> Option<(Point3<f64>, Vector3<f64>)> {
     let n = places.len() as f64;
     let time = places.iter().map(|(t, _)| t).sum::<f64>() / n;
-    let place = places.iter().fold(nalgebra::Vector3::zeros(), |sum, (_, p)| sum + p.coords) / n;
+    let place = places.iter().fold(Vector3::zeros(), |sum, (_, p)| sum + p.coords) / n;
     let spread = places.iter().map(|(t, _)| (t - time).powi(2)).sum::<f64>();
-    let moment = places.iter().fold(nalgebra::Vector3::zeros(), |sum, (t, p)| sum + (p.coords - place) * (t - time));
-    let velocity = if spread > 0.0 { moment / spread } else { nalgebra::Vector3::zeros() };
+    let moment = places.iter().fold(Vector3::zeros(), |sum, (t, p)| sum + (p.coords - place) * (t - time));
+    let velocity = if spread > 0.0 { moment / spread } else { Vector3::zeros() };
     (!places.is_empty()).then(|| (Point3::from(place - velocity * time), velocity))
 }
 
@@ -123,26 +146,47 @@ impl Ground<'_> {
         Some(([pixel.x, pixel.y], in_cam.z))
     }
 
-    /// Distances of the later course's beginning from the prediction by the earlier one, and the other way round: mean
-    /// share of the tolerance; and the ratio of areas, at one distance. `None` where ground or cameras are missing.
-    pub(super) fn fit(&self, before: &EndMotion, after: &EndMotion) -> Option<(f64, f64)> {
+    /// Compares two courses; `None` where ground or cameras are missing.
+    pub(super) fn fit(&self, before: &EndMotion, after: &EndMotion) -> Option<Fit> {
         let forth = self.off(before, after)?;
         let back = self.off(after, before)?;
-        let depth = |course: &EndMotion| Some(self.seen(course.on_ground?.0, course.spot.frame)?.1);
+        let depth = |course: &EndMotion| Some(self.seen(course.largest_on_ground()?, course.largest.frame)?.1);
         let at_one_distance = (depth(after)? / depth(before)?).powi(2);
-        Some((0.5 * (forth + back), at_one_distance * after.largest.area / before.largest.area))
+        let size = at_one_distance * after.largest.area / before.largest.area;
+        Some(Fit { place: 0.5 * (forth + back), size, is_turned: self.turn(before, after)? > MAX_TURN })
+    }
+
+    /// Angle between the directions from which the largest views of two courses show the vehicle, in its own frame.
+    fn turn(&self, before: &EndMotion, after: &EndMotion) -> Option<f64> {
+        let sight = |course: &EndMotion| {
+            Some(course.largest_on_ground()? - self.view(course.largest.frame)?.cam_from_world.center())
+        };
+        let ((_, first), (_, second)) = (before.on_ground?, after.on_ground?);
+        // A parked vehicle has no direction of motion, and does not turn.
+        let turned = UnitQuaternion::rotation_between(&first, &second).unwrap_or_default();
+        Some((turned * sight(before)?).angle(&sight(after)?))
     }
 
     /// Distance of one course from the prediction by another, in the image, as a share of the tolerance.
     fn off(&self, from: &EndMotion, to: &EndMotion) -> Option<f64> {
-        let (place, velocity) = from.on_ground?;
+        let ((place, own), (_, other)) = (from.on_ground?, to.on_ground?);
         let elapsed_s = to.spot.time_s - from.spot.time_s;
-        let (expected, _) = self.seen(place + velocity * elapsed_s, to.spot.frame)?;
+        let (expected, _) = self.seen(place + along_chord(own, other) * elapsed_s, to.spot.frame)?;
         let (at_rest, _) = self.seen(place, to.spot.frame).unwrap_or((expected, 0.0));
         let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
         let sides = TOLERATED_SIDES + TOLERATED_SIDES_PER_S * elapsed_s.abs();
         let tolerated = sides * to.spot.side_px() + TOLERATED_WAY * distance(expected, at_rest);
         Some(distance(expected, to.spot.foot()) / tolerated)
+    }
+}
+
+/// A course's velocity turned towards where a vehicle gets that turns steadily until it has the other velocity: the
+/// chord of its path halves the angle. One that is to turn by more than 120° is another vehicle, and keeps its own.
+fn along_chord(own: Vector3<f64>, other: Vector3<f64>) -> Vector3<f64> {
+    let sum = own + other;
+    match own.dot(&other) > -0.5 * own.norm() * other.norm() {
+        true => sum * (own.norm() / sum.norm()),
+        false => own,
     }
 }
 
@@ -170,8 +214,23 @@ mod tests {
         let places: Vec<_> = [0.0, -0.1, -0.2, -0.5].map(|t| (t, at(t))).to_vec();
         let (place, velocity) = line(&places).unwrap();
         assert!((place - at(0.0)).norm() < 1e-12 && (velocity.x - 3.0).abs() < 1e-12);
-        assert_eq!(line(&[(0.0, at(1.0))]), Some((at(1.0), nalgebra::Vector3::zeros())));
+        assert_eq!(line(&[(0.0, at(1.0))]), Some((at(1.0), Vector3::zeros())));
         assert_eq!(line(&[]), None);
+    }
+
+    #[test]
+    fn a_vehicle_that_turns_while_it_is_hidden_goes_along_the_chord() {
+        // A quarter of a circle of radius 1 in one second.
+        let speed = std::f64::consts::FRAC_PI_2;
+        let (first, last) = (Vector3::y() * speed, -Vector3::x() * speed);
+        let chord = Vector3::new(-1.0, 1.0, 0.0);
+        for way in [along_chord(first, last), along_chord(last, first)] {
+            assert!((way - chord).norm() < 0.2, "{way}");
+        }
+        // One that stands or comes the other way says nothing of where the first one goes.
+        for other in [Vector3::zeros(), -first] {
+            assert_eq!(along_chord(first, other), first);
+        }
     }
 
     #[test]

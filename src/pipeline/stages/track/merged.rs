@@ -10,7 +10,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::detected::Followed;
-use super::end_motion::{EndMotion, Ground, Side, Spot, course, near};
+use super::end_motion::{EndMotion, Fit, Ground, Side, Spot, course, near};
 use super::mask_path;
 use crate::features::matching::{MatchOptions, match_features};
 use crate::features::rootsift::{FeatureOptions, Features, extract};
@@ -123,9 +123,16 @@ fn candidates(run: &Run, folder: &Path, followed: &[Followed]) -> Result<Candida
             if !is_later || !may_be_one(&followed[before].summary, &followed[after].summary) {
                 continue;
             }
-            let evidence = placed(a, b, ground.as_ref()).or_else(|| linked(&followed[before], &followed[after]));
+            let fit = fit(a, b, ground.as_ref());
+            let evidence = match fit {
+                Some(Fit { place, size, .. }) => {
+                    Some(IdentityEvidence { place: Some(place), size: Some(size), ..IdentityEvidence::default() })
+                }
+                None => linked(&followed[before], &followed[after]),
+            };
             let near = evidence.filter(|evidence| evidence.place.is_some_and(|place| place <= MAX_PLACE));
-            pairs.extend(near.map(|evidence| Pair { before, after, gap_s, evidence }));
+            let is_turned = fit.is_some_and(|fit| fit.is_turned);
+            pairs.extend(near.map(|evidence| Pair { before, after, gap_s, evidence, is_turned }));
         }
     }
     // An object without masks is in no pair.
@@ -133,10 +140,9 @@ fn candidates(run: &Run, folder: &Path, followed: &[Followed]) -> Result<Candida
     Ok(Candidates { pieces: pieces.into_iter().map(|piece| piece.unwrap_or_else(nothing)).collect(), pairs })
 }
 
-/// Evidence of the trajectories over the ground that two tracks are one object.
-fn placed(before: &Piece, after: &Piece, ground: Option<&Ground<'_>>) -> Option<IdentityEvidence> {
-    let (place, size) = ground?.fit(before.end.as_ref()?, after.beginning.as_ref()?)?;
-    Some(IdentityEvidence { place: Some(place), size: Some(size), ..IdentityEvidence::default() })
+/// How well the trajectories over the ground of two tracks agree.
+fn fit(before: &Piece, after: &Piece, ground: Option<&Ground<'_>>) -> Option<Fit> {
+    ground?.fit(before.end.as_ref()?, after.beginning.as_ref()?)
 }
 
 /// Evidence of the tracker that two tracks are one object, from the images alone.
