@@ -272,6 +272,38 @@ pub fn check_map_points(options: &MetricOptions) -> Result<()> {
     options.map_points.as_deref().map_or(Ok(()), |path| read_map_points(path).map(drop))
 }
 
+/// Looks whether the points of a map lie in the frames of a run; `frames` must be done.
+///
+/// # Errors
+/// [`PipelineError::Options`] names the point that does not.
+pub(in crate::pipeline) fn check_map_points_in_frames(run: &Run) -> Result<()> {
+    let Some(path) = &run.options.metric.map_points else { return Ok(()) };
+    let frames = run.frames()?;
+    for (number, point) in (1..).zip(read_map_points(path)?) {
+        if let Some(fault) = point.fault(run.size(), frames) {
+            return Err(PipelineError::Options(format!("--map-points: {}: point {number}: {fault}", path.display())));
+        }
+    }
+    Ok(())
+}
+
+impl Picked {
+    /// Why the frames do not show it.
+    fn fault(&self, (width, height): (u32, u32), frames: &[Frame]) -> Option<String> {
+        let pixel = self.pixel;
+        match self.frame.filter(|frame| !frames.iter().any(|known| known.id == *frame)) {
+            Some(FrameId(frame)) => Some(format!("there is no frame {frame}")),
+            None => (!is_in_frame(self.pixel, (width, height)))
+                .then(|| format!("pixel ({}, {}) is outside {width}x{height}", pixel.x, pixel.y)),
+        }
+    }
+}
+
+/// Returns true if a position lies in a frame, its edge included: a corner of the frame is a place on the map, too.
+fn is_in_frame(pixel: Point2<f64>, (width, height): (u32, u32)) -> bool {
+    (0.0..=f64::from(width)).contains(&pixel.x) && (0.0..=f64::from(height)).contains(&pixel.y)
+}
+
 /// Reads points of a map.
 ///
 /// # Errors
@@ -349,9 +381,8 @@ impl Survey {
                 return Err(format!("point {number}: frame {} is not registered", picked.frame.map_or(0, |id| id.0)));
             };
             let camera = background.camera_of(image).zoomed(log_focal.exp());
-            if !camera.contains(picked.pixel) {
-                let [x, y] = [picked.pixel.x, picked.pixel.y];
-                return Err(format!("point {number}: pixel ({x}, {y}) is outside {}x{}", camera.width, camera.height));
+            if !is_in_frame(picked.pixel, (camera.width, camera.height)) {
+                return Err(format!("point {number} is outside of its frame"));
             }
             let Picked { longitude_deg, latitude_deg, .. } = *picked;
             let place = Geodetic { longitude_deg, latitude_deg, height_m: self.map.origin.height_m };
@@ -399,4 +430,28 @@ pub fn camera_by_map_points(
         focal_over_map(|log_focal| survey.points(&poses, log_focal).unwrap_or_default(), focal_std)
     };
     found().map_or((*camera, focal_std), |(log_focal, std)| (camera.zoomed(log_focal.exp()), std))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn points_of_a_map_lie_in_frames_that_exist_edges_included() {
+        let frames: Vec<Frame> =
+            (0..3).map(|k| Frame { id: FrameId(k), name: format!("{k}.jpg"), time_s: f64::from(k) }).collect();
+        let fault = |x, y, frame: Option<u32>| {
+            let pixel = Point2::new(x, y);
+            let point =
+                Picked { pixel, frame: frame.map(FrameId), longitude_deg: 0.0, latitude_deg: 0.0, height_m: None };
+            point.fault((1920, 1080), &frames)
+        };
+        assert_eq!(
+            [fault(0.0, 0.0, None), fault(1920.0, 1080.0, Some(2)), fault(5.0, 5.0, Some(0))],
+            [None, None, None]
+        );
+        assert!(fault(1920.5, 4.0, None).unwrap().contains("outside 1920x1080"));
+        assert!(fault(f64::NAN, 4.0, None).is_some());
+        assert!(fault(4.0, 4.0, Some(3)).unwrap().contains("no frame 3"));
+    }
 }

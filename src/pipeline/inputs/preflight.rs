@@ -9,6 +9,7 @@ use std::path::{Path, PathBuf};
 use super::cameras;
 use super::given_masks::MaskFolder;
 use super::given_models;
+use super::hovering;
 use super::networks::Networks;
 use crate::features::Target;
 use crate::pipeline::driver::run::Run;
@@ -78,7 +79,8 @@ pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<()> 
         (Stage::Objects, _) => models(run, run.options.object_models.values(), Target::Object),
         (Stage::Ground, _) => ground_labels(run),
         (Stage::Segment | Stage::Features | Stage::Track | Stage::Follow, _) => Ok(()),
-        (Stage::Frames | Stage::Motion | Stage::Scale | Stage::Metric | Stage::Report, _) => Ok(()),
+        (Stage::Metric, _) => hovering::check_map_points_in_frames(run),
+        (Stage::Frames | Stage::Motion | Stage::Scale | Stage::Report, _) => Ok(()),
     })
 }
 
