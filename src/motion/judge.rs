@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt;
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::contact::ContactEvidence;
@@ -41,6 +42,8 @@ pub enum MovementReason {
     PointsStand,
     /// Points leave their lines by no more than the sway of a camera that hovers.
     Sway,
+    /// Its mask moves across the background before a camera that does not translate.
+    Travels,
     /// Points contradict one another.
     Divided,
     /// It may be stationary, or move along the camera's path.
@@ -86,6 +89,7 @@ impl fmt::Display for Judgement {
             MovementReason::Sway => {
                 write!(f, "{moving} of {all} points move, by no more than tall objects do as a hovering camera sways")
             }
+            MovementReason::Travels => write!(f, "its mask moves across the background by more than twice its size"),
             MovementReason::Divided => write!(f, "{moving} of {all} points move: inconclusive"),
             MovementReason::AlongCameraPath => {
                 let odds = self.odds;
@@ -120,6 +124,9 @@ pub const CLEAR_ODDS: f64 = 5.0;
 /// the object's size: a sway of a tenth of the distance, of an object as high as it is wide. A vehicle that moves
 /// passes it within half a meter.
 const SWAY: f64 = 0.1;
+/// Way of a mask, between the means of the first and the last quarter of its frames, as a multiple of its size, from
+/// which it is no growth, no shadow and no slip to a neighbor at the kerb.
+const MIN_TRAVEL: f64 = 2.0;
 
 /// Revises the judgement of an object before a camera that hovers: poses have one center there, so that points of
 /// tall stationary objects, such as houses, leave their lines as the camera sways.
@@ -135,6 +142,21 @@ pub fn without_sway(judged: Judgement, points: &[PointOnObject], size_px: f64) -
             Judgement { movement: Movement::Undetermined, reason: MovementReason::Sway, ..judged }
         }
         _ => judged,
+    }
+}
+
+/// Revises the judgement of an object before a camera that does not translate, of which too few points tell: there is
+/// no parallax, so that a mask that moves across the background is on something that moves.
+///
+/// * `sights` – direction to the middle of its mask in each frame, in the background's frame, in order of time.
+/// * `size` – of the mask, radians.
+pub fn with_travel(judged: Judgement, sights: &[Vector3<f64>], size: f64) -> Judgement {
+    let quarter = sights.len() / 4;
+    let mean = |part: &[Vector3<f64>]| part.iter().sum::<Vector3<f64>>() / part.len() as f64;
+    let way = || (mean(&sights[sights.len() - quarter..]) - mean(&sights[..quarter])).norm();
+    match judged.movement == Movement::Undetermined && quarter > 0 && way() > MIN_TRAVEL * size {
+        true => Judgement { movement: Movement::Moving, reason: MovementReason::Travels, ..judged },
+        false => judged,
     }
 }
 

@@ -27,7 +27,9 @@ pub use self::classify::{Evidence, GROUND_TOLERANCE, StaticPoint, TrackLabel, Ve
 pub use self::differences::{DifferenceDetector, MovingObject};
 pub use self::follower::{PointFollower, PointTrack, alive};
 pub use self::ground::GroundModel;
-pub use self::judge::{CLEAR_ODDS, Judgement, MovementReason, PointOnObject, judge, judge_pieces, without_sway};
+pub use self::judge::{
+    CLEAR_ODDS, Judgement, MovementReason, PointOnObject, judge, judge_pieces, with_travel, without_sway,
+};
 pub use self::movers::{Mover, movers};
 use crate::camera::Camera;
 use crate::math::Rigid3;

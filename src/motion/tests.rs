@@ -4,7 +4,7 @@ mod world;
 
 use super::{
     Judgement, MovementReason, Mover, PointOnObject, PointTrack, Surroundings, TrackLabel, Verdict, classify, judge,
-    judge_pieces, movers,
+    judge_pieces, movers, with_travel,
 };
 use crate::scene::{Movement, Rect};
 use world::{Flight, Plan, World, world};
@@ -254,6 +254,24 @@ fn nothing_that_stands_or_waves_becomes_a_mover() {
         }
     }
     assert!(num_movers <= 2, "{num_movers} in 125 worlds");
+}
+
+#[test]
+fn a_mask_that_travels_before_a_camera_that_does_not_is_on_a_moving_object() {
+    // Few points: nothing is known by them. Masks of 0.01 rad that move by 0.05, sway by 0.005, or slip once.
+    let unknown = judge(&[], 10.0);
+    assert_eq!(unknown.movement, Movement::Undetermined);
+    let sights = |at: &dyn Fn(f64) -> f64| -> Vec<nalgebra::Vector3<f64>> {
+        (0..20).map(|k| nalgebra::Vector3::new(at(f64::from(k) / 19.0), 0.0, 1.0)).collect()
+    };
+    let movement = |at: &dyn Fn(f64) -> f64| with_travel(unknown, &sights(at), 0.01).movement;
+    assert_eq!(movement(&|t| 0.05 * t), Movement::Moving);
+    assert_eq!(movement(&|t| 0.005 * (40.0 * t).sin()), Movement::Undetermined);
+    assert_eq!(movement(&|t| if t < 0.5 { 0.0 } else { 0.015 }), Movement::Undetermined);
+    assert_eq!(with_travel(unknown, &[], 0.01).movement, Movement::Undetermined);
+    // Points that stand outweigh it.
+    let stands = Judgement { movement: Movement::Stationary, ..unknown };
+    assert_eq!(with_travel(stands, &sights(&|t| 0.05 * t), 0.01).movement, Movement::Stationary);
 }
 
 #[test]

@@ -3,19 +3,21 @@
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
 use super::kept_masks::KeptMasks;
 use crate::math::rounding::with_std;
 use crate::motion::{
-    CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, alive, judge_pieces, without_sway,
+    CLEAR_ODDS, ContactDepth, Judgement, MovementReason, PointOnObject, StaticPoint, alive, judge_pieces, with_travel,
+    without_sway,
 };
 use crate::pipeline::Result;
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background;
 use crate::pipeline::stages::motion::{self, Points, World};
 use crate::scene::{
-    DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, TrackedObject,
+    DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, Rect, TrackedObject,
 };
 use crate::tracking::{CUT_PX, MaskEvidence};
 use crate::trajectory::motion_by_shaking;
@@ -35,9 +37,10 @@ pub(in crate::pipeline) struct PointFinding {
 }
 
 impl PointFinding {
-    /// Returns true if points themselves leave the lines of stationary ones, in part of the frames at least.
+    /// Returns true if points leave the lines of stationary ones, in part of the frames at least, or masks their place.
     pub(in crate::pipeline) fn points_move(&self) -> bool {
-        matches!(self.reason, Some(MovementReason::PointsMove | MovementReason::MovesForATime))
+        use MovementReason::{MovesForATime, PointsMove, Travels};
+        matches!(self.reason, Some(PointsMove | MovesForATime | Travels))
     }
 
     /// Stationary, if a camera that shakes shows it; `None` where points move or the camera is too calm.
@@ -100,6 +103,7 @@ pub(super) fn find(
         let mut judged = judge_pieces(&pieces, second);
         if hovers {
             judged = without_sway(judged, &pieces.concat(), on_it.mean_size_px());
+            judged = with_travel(judged, &on_it.sights, on_it.mean_size_px() / on_it.focal_px);
         }
         let is_examined = !points.frames.is_empty();
         if is_examined {
@@ -129,6 +133,9 @@ struct OnObject {
     counts: BTreeMap<usize, usize>,
     /// Per track the foot of the object below its point.
     feet: BTreeMap<usize, ContactDepth>,
+    /// Direction to the middle of each mask, in the background's frame, and the last focal length.
+    sights: Vec<Vector3<f64>>,
+    focal_px: f64,
     /// Pixels of all masks, and their number.
     area: usize,
     num_masks: usize,
@@ -177,6 +184,12 @@ fn on_objects(
             let on_it = found.entry(object).or_default();
             on_it.area += mask.area_px2();
             on_it.num_masks += 1;
+            let view = world.as_ref().and_then(|world| world.views[index as usize].as_ref());
+            if let Some((view, bounds)) = view.zip(mask.bounding_box()) {
+                let in_cam = view.camera.ray_from_pixel(Rect::from(bounds).center().into());
+                on_it.sights.push(view.cam_from_world.rotation.inverse() * in_cam.normalize());
+                on_it.focal_px = view.camera.mean_focal();
+            }
             for &k in &live {
                 let Some(pixel) = points.tracks[k].at(index).filter(|[x, y]| mask.contains(*x, *y)) else { continue };
                 *on_it.counts.entry(k).or_default() += 1;
