@@ -53,7 +53,7 @@ pub(super) struct JobArgs {
         help_heading = "Vehicles"
     )]
     pub(super) motion: Option<MotionChoice>,
-    /// Mask network: `default` (MobileSAM), `small` (faster), or `none` (coarse masks by color)
+    /// Mask network: `default` (by size), `small` (faster), or `none` (coarse masks by color)
     #[arg(
         long,
         value_name = "default|small|none",

@@ -22,7 +22,7 @@ pub use self::error::PerceptionError;
 pub use self::flow::{DisFlow, FlowEstimator, OnnxFlow, load_flow};
 pub use self::ground::{GroundOptions, GroundSegmenter, load_ground_segmenter};
 pub use self::prompt::{
-    BoxMask, BoxSegmenter, GrabCut, KnownMasks, PromptOptions, load_box_segmenter, load_small_box_segmenter,
+    BoxMask, BoxSegmenter, BySize, GrabCut, KnownMasks, PromptOptions, load_box_segmenter, load_small_box_segmenter,
 };
 pub use self::segmentation::{
     DetectorOptions, SegmentationOptions, Segmenter, Tiling, Yolox, load_detector, load_segmenter,

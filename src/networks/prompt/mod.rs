@@ -1,6 +1,7 @@
 //! Masks of boxes: which pixels of a box are the object.
 
 mod box_net;
+mod by_size;
 mod grabcut;
 mod known;
 mod local;
@@ -12,6 +13,7 @@ mod window;
 use ::image::RgbImage;
 
 pub use self::box_net::load_small_box_segmenter;
+pub use self::by_size::BySize;
 pub use self::grabcut::GrabCut;
 pub use self::known::KnownMasks;
 pub use self::mobile_sam::load_box_segmenter;

@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 
 use crate::ffi::onnx::{self, Provider};
 use crate::networks::{
-    BoxSegmenter, DefaultModels, GrabCut, PerceptionError, Yolox, default_descriptions, default_models,
+    BoxSegmenter, BySize, DefaultModels, GrabCut, PerceptionError, Yolox, default_descriptions, default_models,
     load_box_segmenter, load_detector, load_small_box_segmenter,
 };
 use crate::pipeline::driver::fingerprint;
@@ -19,7 +19,7 @@ use crate::pipeline::{DetectorChoice, MaskChoice, Options, Result};
 pub(in crate::pipeline) struct Networks {
     /// The detector.
     pub(in crate::pipeline) detector: Option<PathBuf>,
-    /// Files of the mask network: the small one, or the two parts of `MobileSAM`.
+    /// Files of the mask networks: the small one, and the two parts of `MobileSAM` unless the small one serves alone.
     pub(in crate::pipeline) masks: Vec<PathBuf>,
     /// Missing networks, with the consequence.
     pub(in crate::pipeline) doubts: Vec<String>,
@@ -57,7 +57,9 @@ impl Networks {
         let masks = match options.vehicles.mask_network {
             MaskChoice::None => None,
             MaskChoice::Small => of_masks().map(|found| vec![found.small_masks]),
-            MaskChoice::Default => of_masks().map(|found| vec![found.mask_encoder, found.mask_decoder]),
+            MaskChoice::Default => {
+                of_masks().map(|found| vec![found.small_masks, found.mask_encoder, found.mask_decoder])
+            }
         };
         Ok(Self { detector, masks: masks.unwrap_or_default(), ..networks })
     }
@@ -73,7 +75,10 @@ impl Networks {
         let (options, resources) = (&run.options.prompt, run.options.resources());
         Ok(match &self.masks[..] {
             [small] => load_small_box_segmenter(small, options, resources)?,
-            [encoder, decoder] => load_box_segmenter(encoder, decoder, options, resources)?,
+            [small, encoder, decoder] => Box::new(BySize {
+                small: load_small_box_segmenter(small, options, resources)?,
+                large: load_box_segmenter(encoder, decoder, options, resources)?,
+            }),
             _ => Box::new(GrabCut::new(options)),
         })
     }
@@ -184,8 +189,8 @@ mod tests {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
         let networks = Networks::chosen(&options, Ok(there())).unwrap();
-        assert!(networks.detector.is_none() && networks.masks.len() == 2 && networks.doubts.is_empty());
-        for (choice, files) in [(MaskChoice::Small, &["s"][..]), (MaskChoice::Default, &["e", "f"])] {
+        assert!(networks.detector.is_none() && networks.masks.len() == 3 && networks.doubts.is_empty());
+        for (choice, files) in [(MaskChoice::Small, &["s"][..]), (MaskChoice::Default, &["s", "e", "f"])] {
             options.vehicles.mask_network = choice;
             let found = Networks::chosen(&options, Ok(there())).unwrap().masks;
             assert_eq!(found, files.iter().map(PathBuf::from).collect::<Vec<_>>());

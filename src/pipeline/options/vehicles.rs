@@ -38,10 +38,10 @@ impl FromStr for DetectorChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskChoice {
-    /// Bundled network `MobileSAM`.
+    /// Bundled network `MobileSAM`, for boxes below 20 pixels the small one.
     #[default]
     Default,
-    /// Small bundled network: a fifteenth of the time, and other outlines on real images.
+    /// Small bundled network for all boxes: a fifteenth of the time, and other outlines on real images.
     Small,
     /// Coarse masks from colors (`GrabCut`).
     None,
