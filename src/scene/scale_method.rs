@@ -18,16 +18,12 @@ pub enum ScaleMethod {
     Joint,
     /// Reference method: least correlation of the paths of vehicle and camera.
     OzdenIndependence,
-    /// Reference method: least correlation of the velocities of vehicle and camera.
-    OzdenVelocity,
     /// Reference method: path in a plane, whichever.
     OzdenPlane,
     /// Reference method: path across the axis about which the vehicle turns.
     OzdenAxis,
     /// Reference method: motion in the direction in which the vehicle points.
     OzdenHeading,
-    /// Reference method: shortest path.
-    Zheng,
     /// Reference method: contact with ground planes weighted by their covariance.
     CameraHeight,
     /// Reference method: translation parallel to one ground plane.
@@ -36,10 +32,6 @@ pub enum ScaleMethod {
     YuanLocal,
     /// Reference method: path of few low frequencies, triangulated.
     Park,
-    /// Reference method: path of few low frequencies, among the paths of all ratios.
-    ParkFamily,
-    /// Reference method: least acceleration.
-    Valmadre,
     /// Reference method: constant velocity, filtered.
     Kundu,
 }
@@ -58,10 +50,8 @@ pub struct MethodInfo {
 }
 
 const PAPER: &str = "Bullinger, Bodensteiner, Arens, Stiefelhagen, arXiv:1711.06136, 2017";
-const OZDEN_CVIU: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004";
 const OZDEN_CVPR: &str = "Ozden, Cornelis, Van Eycken, Van Gool, CVPR 2004";
 const YUAN: &str = "Yuan, Medioni, CVPR 2006";
-const PARK: &str = "Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015";
 
 // In the order of tables: the paper's baseline and method, the program's own, references.
 with_names!(ScaleMethod {
@@ -70,17 +60,13 @@ with_names!(ScaleMethod {
     Joint = "joint",
     RobustLeastSquares = "least-squares",
     OzdenIndependence = "ozden-independence",
-    OzdenVelocity = "ozden-velocity",
     OzdenPlane = "ozden-plane",
     OzdenAxis = "ozden-axis",
     OzdenHeading = "ozden-heading",
-    Zheng = "zheng",
     CameraHeight = "camera-height",
     Yuan = "yuan",
     YuanLocal = "yuan-local",
     Park = "park",
-    ParkFamily = "park-family",
-    Valmadre = "valmadre",
     Kundu = "kundu",
 });
 
@@ -94,20 +80,16 @@ impl ScaleMethod {
                 ("this program", "constant distance to the local ground planes, in all frames at once")
             }
             Self::Joint => ("this program", "contact with the local ground planes and level on them; outlines"),
-            Self::OzdenIndependence => (OZDEN_CVIU, "motion independent of the camera's; paths only"),
-            Self::OzdenVelocity => (OZDEN_CVIU, "velocity independent of the camera's; paths only"),
+            Self::OzdenIndependence => ("Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004", "motion independent of the camera's; paths only"),
             Self::OzdenPlane => (OZDEN_CVPR, "motion in a plane; paths only"),
             Self::OzdenAxis => (OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
             Self::OzdenHeading => (OZDEN_CVPR, "motion where it points; attitudes"),
-            Self::Zheng => ("Zheng et al., trajectoryBased3DRecon", "short path; paths only"),
             Self::CameraHeight => {
                 ("Song, Chandraker, CVPR 2014", "lowest point on the ground planes and their covariance")
             }
             Self::Yuan => (YUAN, "translation parallel to one ground plane"),
             Self::YuanLocal => (YUAN, "translation parallel to the local ground planes"),
-            Self::Park => (PARK, "path of few low frequencies; rays only"),
-            Self::ParkFamily => (PARK, "path of few low frequencies; paths only"),
-            Self::Valmadre => ("Valmadre, Lucey, CVPR 2012", "little acceleration; paths only"),
+            Self::Park => ("Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015", "path of few low frequencies; rays only"),
             Self::Kundu => ("Kundu, Krishna, Jawahar, ICCV 2011", "almost constant velocity; paths only"),
         };
         MethodInfo { name: self.name(), citation, needs, is_reference: self.is_reference() }

@@ -11,7 +11,7 @@
 //! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
 //! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction again,
 //! together with the ground. [`estimate()`] runs one of
-//! the others or of ten of the literature, [`estimate_scale`] all and says whether the ratio is determined;
+//! the others or of nine of the literature, [`estimate_scale`] all and says whether the ratio is determined;
 //! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
 //! [`verdicts`] judges the trajectories of a run. A vehicle whose model cannot be used gets a [`ground_track()`].
 //! The derivations are in `docs/maths/scale.md`.

@@ -11,13 +11,10 @@ mod ozden_heading;
 mod ozden_independence;
 mod ozden_plane;
 mod park;
-mod park_family;
 mod search;
 #[cfg(test)]
 mod tests;
-mod valmadre;
 mod yuan;
-mod zheng;
 
 use self::motion::Motion;
 use super::{Options, ScaleError, Views, constant_distance, intersection, least_squares};
@@ -57,17 +54,13 @@ pub fn estimate(method: ScaleMethod, views: &Views, options: &Options) -> Result
         ScaleMethod::RobustLeastSquares => least_squares::estimate(views, options),
         ScaleMethod::Joint => Err(ScaleError::NoAnswer(method)),
         ScaleMethod::OzdenIndependence => around_contact(ozden_independence::ratio),
-        ScaleMethod::OzdenVelocity => around_contact(ozden_independence::velocity_ratio),
         ScaleMethod::OzdenPlane => around_contact(ozden_plane::ratio),
         ScaleMethod::OzdenAxis => alone(ozden_axis::ratio),
         ScaleMethod::OzdenHeading => ozden_heading::estimate(views),
-        ScaleMethod::Zheng => alone(zheng::ratio),
         ScaleMethod::CameraHeight => camera_height::estimate(views, options),
         ScaleMethod::Yuan => alone(yuan::ratio),
         ScaleMethod::YuanLocal => alone(yuan::local_ratio),
         ScaleMethod::Park => alone(park::ratio),
-        ScaleMethod::ParkFamily => alone(park_family::ratio),
-        ScaleMethod::Valmadre => alone(valmadre::ratio),
         ScaleMethod::Kundu => kundu::estimate(views),
     }
 }

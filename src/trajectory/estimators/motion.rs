@@ -89,15 +89,6 @@ impl Motion {
         })
     }
 
-    /// Three frames in a row, one usual step apart.
-    pub(super) fn triples(&self) -> impl Iterator<Item = [usize; 3]> + '_ {
-        let next: Vec<(usize, usize)> = self.pairs(1).collect();
-        (1..next.len()).filter_map(move |k| {
-            let ((first, middle), (same, last)) = (next[k - 1], next[k]);
-            (middle == same).then_some([first, middle, last])
-        })
-    }
-
     /// Ratio by contact of the lowest points, the median over the frames; the other criteria search around it.
     pub(super) fn contact(&self) -> Result<f64, ScaleError> {
         let ratios = self.heights.iter().zip(&self.lowest).map(|(height, lowest)| -height / lowest);
@@ -168,9 +159,4 @@ pub(super) fn positive(ratio: f64) -> Result<f64, ScaleError> {
 fn length(points: &[Point3<f64>], middle: &Point3<f64>) -> f64 {
     let mut distances: Vec<f64> = points.iter().map(|point| (point - middle).norm()).collect();
     2.0 * quantile(&mut distances, 0.95).unwrap_or(0.0)
-}
-
-/// Three numbers of a vector.
-pub(super) fn components(vector: Vector3<f64>) -> [f64; 3] {
-    vector.into()
 }

@@ -11,23 +11,12 @@
 //! ```
 //!
 //! by Gauss and Newton from several r, with a wide prior on l, which straight stretches leave open. The least share of
-//! Σ |w_i|² wins. The standard deviation has two terms: noise, from the residuals and the normal equations; and drift
-//! of the object's model, whose attitude (about three axes, radians) and size (share) are random walks that reach
-//! [`DRIFT`] over the clip. Of each walk the first terms of its expansion (K. Karhunen, M. Loève),
-//!
-//! ```text
-//! b(s) = Σ_m z_m √2 / ((m − ½) π) sin((m − ½) π s),    s = 0 … 1 over the clip, var(z_m) = 1,
-//! ```
-//!
-//! change v_i and R_i, and the changes of r add up as squares. A step is about half of the vehicle's length: noise
-//! decides over shorter ones.
+//! Σ |w_i|² wins. A step is about half of the vehicle's length: noise decides over shorter ones.
 //!
 //! **Assumption**: no side slip. **Blind** where the camera moves along the vehicle's axis and the vehicle does not
 //! turn.
 
-use std::f64::consts::{PI, SQRT_2};
-
-use nalgebra::{Matrix3, Matrix4, Rotation3, SMatrix, Vector3, Vector4};
+use nalgebra::{Matrix3, Matrix4, SMatrix, Vector3, Vector4};
 
 use super::Estimate;
 use super::motion::{Motion, positive};
@@ -37,8 +26,6 @@ use crate::trajectory::{ScaleError, Views};
 /// Distance from the rear axle to the middle of the vehicle's points, and its standard deviation, as shares of the
 /// vehicle's length: 1.3 m of 4.3 m; a middle that lies at one of the ends is within it.
 const AXLE: [f64; 2] = [0.3, 0.35];
-/// Drift of the object's model over a clip, standard deviation: 1 % in size (`docs/maths/scale.md`), angles alike.
-const DRIFT: f64 = 0.01;
 /// Bounds of the ratio during the search, as factors of the guess: far beyond any start.
 const BOUNDS: [f64; 2] = [0.05, 20.0];
 
@@ -50,9 +37,8 @@ pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
     if !(length > 0.0) {
         return Err(ScaleError::Undetermined("the object has no length"));
     }
-    let [ratio, noise, drift] =
-        Heading { guess, axle: AXLE.map(|share| share * length), step: step(&motion, length, guess) }.solve(&motion)?;
-    Ok(Estimate::new(ratio, Some(noise.hypot(drift))))
+    let heading = Heading { guess, axle: AXLE.map(|share| share * length), step: step(&motion, length, guess) };
+    motion.jackknifed(|motion| heading.solve(motion))
 }
 
 /// Frames of a step, at least two and at most a quarter of all: an even number, whose middle is a frame.
@@ -94,13 +80,10 @@ struct Minimum {
     /// Share of the motion that is not along the direction.
     share: f64,
     state: State,
-    /// Standard deviation of the ratio by noise.
-    std: f64,
 }
 
 impl Heading {
-    /// Ratio, and its standard deviations by noise and by drift.
-    pub(super) fn solve(&self, motion: &Motion) -> Result<[f64; 3], ScaleError> {
+    pub(super) fn solve(&self, motion: &Motion) -> Result<f64, ScaleError> {
         let steps = self.steps(motion);
         if steps.len() < 5 {
             return Err(ScaleError::Undetermined("too few frames in a row"));
@@ -108,39 +91,11 @@ impl Heading {
         let starts = [0.5, 0.8, 1.0, 1.25, 2.0].into_iter();
         let found = starts.filter_map(|start| self.from(&steps, start * self.guess));
         let best = found.min_by(|a, b| a.share.total_cmp(&b.share));
-        let Minimum { state, std, .. } = best.ok_or(ScaleError::Undetermined("no direction of motion"))?;
-        let ratio = state.ratio;
+        let ratio = best.ok_or(ScaleError::Undetermined("no direction of motion"))?.state.ratio;
         if ratio <= BOUNDS[0] * self.guess || ratio >= BOUNDS[1] * self.guess {
             return Err(ScaleError::Undetermined("the cost is least at the end of the search range"));
         }
-        let drift = self.drift(motion, &state).ok_or(ScaleError::Undetermined("the drift has no finite effect"))?;
-        Ok([positive(ratio)?, std, drift])
-    }
-
-    /// Standard deviation of the ratio by drift of the object's model.
-    fn drift(&self, motion: &Motion, state: &State) -> Option<f64> {
-        let [first, last] = [motion.times.first()?, motion.times.last()?];
-        let tangents = tangents(&state.direction)?;
-        let change = |motion: &Motion| Some(self.round(&self.steps(motion), state, &tangents)?.0[0]);
-        let undisturbed = change(motion)?;
-        let mut variance = 0.0;
-        // Three terms of a random walk's expansion have 93 % of its variance.
-        for (mode, term) in (0..4).flat_map(|mode| (1..=3).map(move |term| (mode, term))) {
-            let rate = (f64::from(term) - 0.5) * PI;
-            let mut drifting = motion.clone();
-            for (k, time) in motion.times.iter().enumerate() {
-                let drift = DRIFT * SQRT_2 / rate * (rate * (time - first) / (last - first)).sin();
-                match mode {
-                    3 => drifting.offsets[k] *= 1.0 + drift,
-                    axis => {
-                        let turn = Rotation3::from_scaled_axis(Vector3::ith(axis, drift));
-                        drifting.rotations[k] = motion.rotations[k] * turn.matrix();
-                    }
-                }
-            }
-            variance += (change(&drifting)? - undisturbed).powi(2);
-        }
-        Some(variance.sqrt())
+        positive(ratio)
     }
 
     fn steps(&self, motion: &Motion) -> Vec<Step> {
@@ -162,12 +117,10 @@ impl Heading {
     /// Local minimum from one start.
     fn from(&self, steps: &[Step], ratio: f64) -> Option<Minimum> {
         let mut state = State { ratio, direction: main_direction(steps, ratio)?, axle: 0.0 };
-        let mut normal = Matrix4::zeros();
         // Convergence takes less than ten.
         for _ in 0..30 {
-            let change;
             let tangents = tangents(&state.direction)?;
-            (change, normal) = self.round(steps, &state, &tangents)?;
+            let change = self.round(steps, &state, &tangents)?;
             let [low, high] = BOUNDS.map(|bound| bound * self.guess);
             state.ratio = (state.ratio + change[0]).clamp(low, high);
             let turned = state.direction + tangents[0] * change[1] + tangents[1] * change[2];
@@ -178,20 +131,12 @@ impl Heading {
             }
         }
         let [across, all] = squares(steps, &state);
-        // Steps overlap: as many of them as a step has frames are one.
-        let variance = across / (2.0 * steps.len() as f64 - 4.0) * self.step as f64;
-        let std = (variance * normal.try_inverse()?[(0, 0)]).sqrt();
         let share = across / all;
-        (share.is_finite() && std.is_finite()).then_some(Minimum { share, state, std })
+        share.is_finite().then_some(Minimum { share, state })
     }
 
-    /// Change of r, of the direction along its two tangents and of l, and the normal equations.
-    fn round(
-        &self,
-        steps: &[Step],
-        state: &State,
-        tangents: &[Vector3<f64>; 2],
-    ) -> Option<(Vector4<f64>, Matrix4<f64>)> {
+    /// Change of r, of the direction along its two tangents, and of l.
+    fn round(&self, steps: &[Step], state: &State, tangents: &[Vector3<f64>; 2]) -> Option<Vector4<f64>> {
         let h = state.direction;
         let across = Matrix3::identity() - h * h.transpose();
         let (mut normal, mut gradient) = (Matrix4::zeros(), Vector4::zeros());
@@ -210,7 +155,7 @@ impl Heading {
         gradient[3] += variance / (std * std) * (state.axle - mean);
         let damped = normal + Matrix4::identity() * (1e-12 * normal.trace());
         let change = -damped.lu().solve(&gradient)?;
-        change.iter().all(|number| number.is_finite()).then_some((change, normal))
+        change.iter().all(|number| number.is_finite()).then_some(change)
     }
 }
 

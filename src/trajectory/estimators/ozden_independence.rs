@@ -9,9 +9,6 @@
 //! J(r) = ‖S_co(r)‖² / (tr S_cc · tr S_oo(r)).
 //! ```
 //!
-//! The abstract leaves open whether the motions are positions or velocities: `ozden-independence` takes c_i and o_i,
-//! `ozden-velocity` their first differences.
-//!
 //! **Assumption**: the paths are uncorrelated in the sample. **Blind** where the camera moves along with the vehicle,
 //! as every following drone and every car behind a car does: J then falls to the end of the search range.
 
@@ -23,17 +20,7 @@ use crate::trajectory::ScaleError;
 
 /// r of least correlation of the positions.
 pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
-    least_correlated(&motion.centers, &motion.offsets, guess)
-}
-
-/// r of least correlation of the velocities.
-pub(super) fn velocity_ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
-    let differences = |x: &[Vector3<f64>]| motion.pairs(1).map(|(a, b)| x[b] - x[a]).collect::<Vec<_>>();
-    least_correlated(&differences(&motion.centers), &differences(&motion.offsets), guess)
-}
-
-fn least_correlated(centers: &[Vector3<f64>], offsets: &[Vector3<f64>], guess: f64) -> Result<f64, ScaleError> {
-    let (centers, offsets) = (centered(centers), centered(offsets));
+    let (centers, offsets) = (centered(&motion.centers), centered(&motion.offsets));
     let [cc, cv, vv] = [[&centers, &centers], [&centers, &offsets], [&offsets, &offsets]].map(|[a, b]| sum(a, b));
     let cost = |r: f64| {
         let co = cc + r * cv;

@@ -9,10 +9,9 @@
 //! Σ |(I − u_i u_iᵀ)(Θ_i β − c_i)|²,
 //! ```
 //!
-//! K has the least error of direction in ten-fold cross-validation. From there Gauss and Newton minimize the error of
-//! direction itself, as the authors' final refinement does that of reprojection, and
-//! r = Σ (X_i − c_i) · v_i / Σ |v_i|². The size of v_i is not used before the last step: this is triangulation of a
-//! moving point.
+//! K has the least error of direction in ten-fold cross-validation, and r = Σ (X_i − c_i) · v_i / Σ |v_i|². The size of
+//! v_i is not used before the last step: this is triangulation of a moving point. The authors' final refinement of the
+//! reprojection error is left out: it determines the ratio of no sequence that the linear solution leaves open.
 //!
 //! **Assumption**: the vehicle's path consists of K low frequencies and the camera's does not. **Blind** where the
 //! camera's path consists of the same.
@@ -29,7 +28,7 @@ const NUM_FOLDS: usize = 10;
 const MAX_BASIS: usize = 16;
 
 /// First cosines of the discrete cosine transform, at the times of the frames.
-pub(super) fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {
+fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {
     let first = motion.times.first().copied().unwrap_or(0.0);
     let count = motion.times.last().map_or(1.0, |last| last - first + 1.0);
     DMatrix::from_fn(motion.len(), num, |row, k| match k {
@@ -43,13 +42,6 @@ pub(super) fn cosines(motion: &Motion, num: usize) -> DMatrix<f64> {
 
 /// r by triangulation of the reference point.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
-    let (rays, path) = linear(motion)?;
-    let path = rays.refined(path);
-    rays.ratio(motion, &path)
-}
-
-/// Rays, and the coefficients of the linear solution.
-pub(super) fn linear(motion: &Motion) -> Result<(Rays, DVector<f64>), ScaleError> {
     let frames = Rays::new(motion);
     let folds: Vec<Normal> = (0..NUM_FOLDS).map(|fold| frames.normal(fold)).collect();
     let mut all = folds[0].clone();
@@ -66,12 +58,12 @@ pub(super) fn linear(motion: &Motion) -> Result<(Rays, DVector<f64>), ScaleError
     let most = (2 * (motion.len() - motion.len().div_ceil(NUM_FOLDS)) / 3).clamp(1, MAX_BASIS);
     let errors = (1..=most).filter_map(|num| Some((num, error(num)?)));
     let best = errors.min_by(|a, b| a.1.total_cmp(&b.1)).and_then(|(num, _)| all.solution(num));
-    let coefficients = best.ok_or(ScaleError::Undetermined("rays and basis leave the path open"))?;
-    Ok((frames, coefficients))
+    let path = best.ok_or(ScaleError::Undetermined("rays and basis leave the path open"))?;
+    frames.ratio(motion, &path)
 }
 
 /// Rays from the cameras towards the reference point.
-pub(super) struct Rays {
+struct Rays {
     basis: DMatrix<f64>,
     /// Camera centers minus their mean.
     centers: Vec<Vector3<f64>>,
@@ -95,54 +87,13 @@ impl Rays {
     }
 
     /// r of a path.
-    pub(super) fn ratio(&self, motion: &Motion, coefficients: &DVector<f64>) -> Result<f64, ScaleError> {
+    fn ratio(&self, motion: &Motion, coefficients: &DVector<f64>) -> Result<f64, ScaleError> {
         let (mut along, mut squares) = (0.0, 0.0);
         for (k, offset) in motion.offsets.iter().enumerate() {
             along += self.position_relative_to_camera(coefficients, k).dot(offset);
             squares += offset.norm_squared();
         }
         positive(along / squares)
-    }
-
-    /// The path of least squared errors of direction near another; that one where there is no better.
-    fn refined(&self, mut path: DVector<f64>) -> DVector<f64> {
-        let mut least = self.cost(&path);
-        // Rounds of the refinement, and halvings of a step in each.
-        for _ in 0..20 {
-            let Some(step) = self.step(&path) else { break };
-            let shorter = (0..10).map(|halvings| &path + &step * 0.5_f64.powi(halvings));
-            let better = shorter.map(|next| (self.cost(&next), next)).find(|(cost, _)| *cost < least);
-            let Some((cost, next)) = better else { break };
-            let is_settled = cost > (1.0 - 1e-9) * least;
-            (least, path) = (cost, next);
-            if is_settled {
-                break;
-            }
-        }
-        path
-    }
-
-    /// Step of Gauss and Newton.
-    fn step(&self, path: &DVector<f64>) -> Option<DVector<f64>> {
-        let num = path.len() / 3;
-        let mut normal = Normal::zeros(num);
-        for frame in 0..self.centers.len() {
-            let (residual, slope) = self.residual(path, frame);
-            normal.add_frame(&self.basis, frame, &(slope.transpose() * slope), &-(slope.transpose() * residual));
-        }
-        normal.solution(num)
-    }
-
-    fn cost(&self, path: &DVector<f64>) -> f64 {
-        (0..self.centers.len()).map(|frame| self.residual(path, frame).0.norm_squared()).sum()
-    }
-
-    /// Part of the path's direction across the ray, and its derivative by the position.
-    fn residual(&self, path: &DVector<f64>, frame: usize) -> (Vector3<f64>, Matrix3<f64>) {
-        let towards = self.position_relative_to_camera(path, frame);
-        let (length, ray) = (towards.norm(), self.directions[frame]);
-        let direction = towards / length;
-        (across(&ray) * direction, across(&ray) * across(&direction) / length)
     }
 
     fn of_fold(&self, fold: usize) -> impl Iterator<Item = usize> {
