@@ -16,9 +16,9 @@
 //! What the paper leaves open, and how it is settled here:
 //! * Equal sums: the larger numerator wins.
 //! * A winner whose r is not positive: the next pair in the order is taken, since a ratio of lengths is positive.
-//! * Long clips: the number of pairs grows with the square of the frames. Beyond [`MAX_PAIRS`] only those with the
-//!   largest numerators are ranked, which are the best of the first ranking; beyond [`MAX_RATIOS`] the spread is taken
-//!   over every k-th point only. The final least squares uses all points. Both limits are far above 60 frames.
+//! * Long clips: the number of pairs grows with the square of the frames. Beyond [`MAX_PAIRS`] only every n-th frame is
+//!   used; beyond [`MAX_RATIOS`] the spread is taken over every k-th point only. The final least squares uses all
+//!   points. Both limits are far above 60 frames.
 
 use super::least_squares::LEAST_STD;
 use super::{Estimate, LeastSquares, Options, ScaleError, View, Views, least_squares};
@@ -89,51 +89,15 @@ fn numerator(first: &View, second: &View) -> f64 {
     second.camera_height - first.camera_height
 }
 
-/// Index pairs i < i′ by falling size of the numerator, at most about `max_pairs` of them.
+/// Index pairs i < i′ by falling size of the numerator: of all views, or of every n-th, about `max_pairs` at most.
 fn pairs_by_numerator(views: &[View], max_pairs: usize) -> Vec<(usize, usize)> {
-    let mut by_height: Vec<usize> = (0..views.len()).collect();
-    by_height.sort_by(|&a, &b| views[a].camera_height.total_cmp(&views[b].camera_height));
-    let heights: Vec<f64> = by_height.iter().map(|&i| views[i].camera_height).collect();
-    let least = least_numerator(&heights, max_pairs);
-    let above = |low: usize| {
-        let reaches = |&high: &usize| heights[high] - heights[low] >= least;
-        (low + 1..heights.len()).rev().take_while(reaches).collect::<Vec<_>>()
-    };
-    let in_order = |low: usize, high: usize| {
-        let (a, b) = (by_height[low], by_height[high]);
-        (a.min(b), a.max(b))
-    };
-    let all = (0..heights.len()).flat_map(|low| above(low).into_iter().map(move |high| (low, high)));
-    let mut pairs: Vec<_> = all.map(|(low, high)| in_order(low, high)).take(max_pairs.max(1)).collect();
+    let stride = (views.len() as f64 / (2.0 * max_pairs as f64).sqrt()).ceil().max(1.0) as usize;
+    let kept: Vec<usize> = (0..views.len()).step_by(stride).collect();
+    let later = |(k, &i): (usize, &usize)| kept[k + 1..].iter().map(move |&other| (i, other)).collect::<Vec<_>>();
+    let mut pairs: Vec<(usize, usize)> = kept.iter().enumerate().flat_map(later).collect();
     let size = |&(i, k): &(usize, usize)| numerator(&views[i], &views[k]).abs();
     pairs.sort_by(|a, b| size(b).total_cmp(&size(a)).then(a.cmp(b)));
     pairs
-}
-
-/// The smallest difference of ascending heights that at most `max_pairs` pairs reach; 0 if all pairs may stay.
-fn least_numerator(heights: &[f64], max_pairs: usize) -> f64 {
-    let count = |least: f64| -> usize {
-        let mut first_above = 0;
-        heights
-            .iter()
-            .map(|low| {
-                while first_above < heights.len() && heights[first_above] - low < least {
-                    first_above += 1;
-                }
-                heights.len() - first_above
-            })
-            .sum()
-    };
-    if heights.len() * (heights.len() - 1) / 2 <= max_pairs {
-        return 0.0;
-    }
-    let (mut few, mut many) = (heights[heights.len() - 1] - heights[0], 0.0);
-    // `few` always keeps at most `max_pairs`, unless all heights are equal.
-    for _ in 0..60 {
-        let middle = 0.5 * (few + many);
-        if count(middle) > max_pairs { many = middle } else { few = middle }
-    }
-    few
 }
 
 /// Standard deviation of r_j over every `stride`-th point; infinite if it cannot be computed.
@@ -213,14 +177,14 @@ mod tests {
     }
 
     #[test]
-    fn limits_choose_the_pairs_with_the_largest_numerators() {
+    fn limits_leave_out_frames() {
         // Over hills no two numerators are equal.
         let terrain = Terrain::Hills { amplitude_m: 1.0, wavelength_m: 60.0 };
         let world = drive(&Options { num_frames: 20, terrain, ..Options::default() }, 1);
         let views = Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());
-        let all = pairs_by_numerator(&views.views, usize::MAX);
-        assert_eq!(all.len(), 190);
-        assert_eq!(pairs_by_numerator(&views.views, 40), all[..40]);
+        assert_eq!(pairs_by_numerator(&views.views, 1000).len(), 190);
+        let limited = pairs_by_numerator(&views.views, 40);
+        assert!(limited.len() == 21 && limited.iter().all(|(i, k)| i % 3 == 0 && k % 3 == 0), "{limited:?}");
         let limited = constant_distance_within(&views, 40, 1000);
         assert!((limited.unwrap().ratio / world.ratio - 1.0).abs() < 1e-9);
     }
