@@ -5,9 +5,7 @@
 //! ([`crate::geometry::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has
 //! grown by a fixed share. Views that fail are tried again when they see more points, and at the end, for a video, from
 //! the poses of their neighbours. Views that contradict what pairs of views say by themselves are taken out and tried
-//! again (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept. Views
-//! that are left over grow maps of their own, which are joined to it where enough ties them
-//! (`incremental_mapper::submaps`).
+//! again (`view_graph`). When a start does not carry far, the next pair is tried, and the largest map is kept.
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 
@@ -27,7 +25,6 @@ mod map;
 mod motion;
 mod report;
 mod rotating_camera;
-mod separate_stretches;
 pub mod silhouette;
 #[cfg(test)]
 mod tests;
@@ -59,7 +56,7 @@ use crate::math::{Rigid3, RobustLoss};
 use crate::scene::Reconstruction;
 pub use error::MapperError;
 pub use focal_changes::focal_changes;
-use incremental_mapper::{IncrementalMapper, SubMap};
+use incremental_mapper::IncrementalMapper;
 use initialization::InitializationAttempt;
 use map::{Map, MapPoints};
 
@@ -332,14 +329,10 @@ fn found(
     let poses = poses.filter(|_| options.pose_priors);
     let attempt = InitializationAttempt { table, cameras, known: &known, options, poses };
     let starts = attempt.grow_from_starts(seed, watch)?;
-    let Some(mut mapper) = starts.best else {
+    let Some(mapper) = starts.best else {
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
         return Ok((None, report));
     };
-    mapper.join_left_over(&|rest, cameras, known| {
-        let attempt = InitializationAttempt { table: rest, cameras, known, options, poses: None };
-        Ok(attempt.grow_from_starts(seed, &mut |_| {})?.best.as_ref().map(SubMap::of))
-    })?;
     let (map, mut report) = mapper.into_result();
     report.num_starts = starts.tried;
     Ok((Some(map.into_found()), report))

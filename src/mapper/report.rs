@@ -40,24 +40,6 @@ pub enum Reason {
         /// Points of pairs that contradict it.
         contradicting: usize,
     },
-    /// It belongs to a stretch of the video that hangs together, and that nothing ties to the rest.
-    Apart {
-        /// Names of the first and the last view of the stretch.
-        ends: [String; 2],
-    },
-    /// It belongs to a map of its own, which could not be joined to the largest one.
-    OwnMap {
-        /// Names of its first and its last view.
-        ends: [String; 2],
-        /// Its views.
-        views: usize,
-        /// Tracks that it shares with the largest map.
-        shared: usize,
-        /// Number of tracks that agree on the alignment of the two maps.
-        agreeing: usize,
-        /// Number required.
-        needed: usize,
-    },
     /// Nothing was reconstructed at all.
     NoStart,
 }
@@ -77,19 +59,6 @@ impl fmt::Display for Reason {
                 f,
                 "its best pose contradicts {contradicting} points shared with other frames, and agrees with {agreeing}"
             ),
-            Self::Apart { ends: [first, last] } => {
-                write!(f, "{first} to {last} form a group with too few points in common with the rest")
-            }
-            Self::OwnMap { ends: [first, last], views, shared, agreeing, needed } => {
-                write!(f, "{first} to {last} form a separate map with {views} frames: ")?;
-                match agreeing < needed {
-                    true => write!(
-                        f,
-                        "{agreeing} of {shared} shared points agree on its alignment, at least {needed} needed"
-                    ),
-                    false => write!(f, "{agreeing} shared points, but the maps are inconsistent"),
-                }
-            }
             Self::NoStart => write!(f, "no initial pair of frames found"),
         }
     }

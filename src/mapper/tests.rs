@@ -12,7 +12,6 @@ mod long_video;
 mod motion;
 mod repetition;
 mod several_cameras;
-mod submaps;
 
 use super::*;
 use crate::bundle::{self, CameraBlock, Problem};

@@ -8,18 +8,16 @@ mod loop_closures;
 mod new_camera;
 mod pose_outliers;
 mod pose_priors;
-mod submaps;
 
 use super::adjustment::{self, Freedom, Scope};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, ModelWeakness};
-use super::{MapperError, Noise, Options, Reason, Report, focal_length, separate_stretches, windows};
+use super::{MapperError, Noise, Options, Reason, Report, focal_length, windows};
 use crate::geometry::resection::{self, Resection};
 use crate::geometry::triangulation::Limits;
 use crate::math::{Rigid3, seeded_rng};
 pub use pose_priors::PosePriors;
-pub use submaps::SubMap;
 
 /// Relative standard deviation of a focal length beyond which it counts as poorly determined.
 const LOOSE: f64 = 0.01;
@@ -44,8 +42,6 @@ pub struct IncrementalMapper<'a> {
     reviewed: bool,
     /// By view: the points for and against the best pose that was found, where the view graph refused it.
     refused: Vec<Option<(usize, usize)>>,
-    /// By view: why the map of its own that it belongs to stays apart.
-    apart: Vec<Option<Reason>>,
     /// Registered views at the last global adjustment.
     adjusted_at: usize,
     /// From the first to the last of them.
@@ -65,7 +61,7 @@ impl<'a> IncrementalMapper<'a> {
     pub fn new(mut map: Map<'a>, options: &'a Options, seed: u64) -> Self {
         map.look_for_places_that_come_back(options.max_track_views);
         let num_views = map.poses.len();
-        let (failed, refused, apart) = (vec![None; num_views], vec![None; num_views], vec![None; num_views]);
+        let (failed, refused) = (vec![None; num_views], vec![None; num_views]);
         Self {
             freedom: Freedom::at_first(&map),
             focal_deviations: vec![None; map.cameras.len()],
@@ -78,7 +74,6 @@ impl<'a> IncrementalMapper<'a> {
             pair: None,
             failed,
             refused,
-            apart,
             adjusted_at: 0,
             adjusted_views: 0..0,
             num_infinite: 0,
@@ -138,11 +133,7 @@ impl<'a> IncrementalMapper<'a> {
 
     /// The map and what became of every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
-        let stretches = match self.options.ordered {
-            true => separate_stretches::stretches(&self.map, self.options.min_resection_inliers),
-            false => vec![None; self.map.poses.len()],
-        };
-        let failure = |view: usize| self.map.poses[view].is_none().then(|| self.reason(view, stretches[view]));
+        let failure = |view: usize| self.map.poses[view].is_none().then(|| self.reason(view));
         let views = Report::of_views(self.map.table.views, failure);
         let names = |pair: &InitialPair| pair.views.map(|v| self.map.table.views[v].name.clone());
         let report = Report {
@@ -313,22 +304,18 @@ impl<'a> IncrementalMapper<'a> {
         Some(Rigid3::from_rotation_and_center(rotation, center))
     }
 
-    /// Why a view is not registered; `stretch` holds the first and the last view of that to which it belongs.
-    fn reason(&self, view: usize, stretch: Option<[usize; 2]>) -> Reason {
+    /// Why a view is not registered.
+    fn reason(&self, view: usize) -> Reason {
         let features = self.map.table.views[view].pixels.len();
         let (in_tracks, visible) = self.map.visibility(view);
         if let Some((agreeing, contradicting)) = self.refused[view] {
             return Reason::Contradicted { agreeing, contradicting };
         }
-        if let Some(reason) = &self.apart[view] {
-            return reason.clone();
-        }
-        match (self.failed[view], stretch) {
+        match self.failed[view] {
             _ if features == 0 => Reason::NoFeatures,
             _ if in_tracks == 0 => Reason::NoMatches { features },
-            (Some(Attempt { visible, inliers }), _) => Reason::NoPose { visible, inliers },
-            (None, Some(ends)) => Reason::Apart { ends: ends.map(|v| self.map.table.views[v].name.clone()) },
-            (None, None) => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
+            Some(Attempt { visible, inliers }) => Reason::NoPose { visible, inliers },
+            None => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
         }
     }
 }
