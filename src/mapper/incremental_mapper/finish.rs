@@ -9,19 +9,14 @@ use crate::mapper::{MapperError, Noise, focal_length};
 use crate::math::{Rigid3, seeded_rng};
 
 impl IncrementalMapper<'_> {
-    /// Adjusts everything on all points, takes out and tries again what contradicts the view graph, and tries again
-    /// what failed.
+    /// Adjusts everything on all points, and takes out and tries again what contradicts the view graph.
     pub fn finish(&mut self) -> Result<(), MapperError> {
         self.mend_leaps()?;
         self.close_loops()?;
         self.adjust_until_settled()?;
-        let before: Vec<Option<Rigid3>> = self.map.poses.clone();
         self.review_views()?;
-        self.retry_failed()?;
         self.mend_leaps()?;
-        // Adjusted are poses that were known before as well; only those that came or went count here.
-        let changed = |(a, b): (&Option<Rigid3>, &Option<Rigid3>)| a.is_some() != b.is_some();
-        if self.reviewed || before.iter().zip(&self.map.poses).any(changed) {
+        if self.reviewed {
             self.adjust_until_settled()?;
         }
         self.num_infinite = self.map.reject_infinite_points();
@@ -204,21 +199,6 @@ impl IncrementalMapper<'_> {
 
     fn is_seen_by(&self, slot: &Slot, views: &[usize]) -> bool {
         self.map.observations(slot.track as usize).any(|(_, view, _)| views.contains(&view))
-    }
-
-    /// Views that failed while the map was small may fit now.
-    fn retry_failed(&mut self) -> Result<(), MapperError> {
-        let ready = |&view: &usize| {
-            let enough = self.map.visibility(view).1 >= self.options.min_resection_inliers;
-            self.map.poses[view].is_none() && self.refused[view].is_none() && enough
-        };
-        let again: Vec<usize> = (0..self.map.poses.len()).filter(ready).collect();
-        if again.is_empty() {
-            return Ok(());
-        }
-        self.noise = Noise::Unknown;
-        again.into_iter().for_each(|view| self.failed[view] = None);
-        self.grow(&mut |_| {})
     }
 
     /// Takes out views that filtering has left with too few observations to hold a pose.
