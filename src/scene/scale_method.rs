@@ -80,7 +80,10 @@ impl ScaleMethod {
                 ("this program", "constant distance to the local ground planes, in all frames at once")
             }
             Self::Joint => ("this program", "contact with the local ground planes and level on them; outlines"),
-            Self::OzdenIndependence => ("Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004", "motion independent of the camera's; paths only"),
+            Self::OzdenIndependence => (
+                "Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004",
+                "motion independent of the camera's; paths only",
+            ),
             Self::OzdenPlane => (OZDEN_CVPR, "motion in a plane; paths only"),
             Self::OzdenAxis => (OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
             Self::OzdenHeading => (OZDEN_CVPR, "motion where it points; attitudes"),
@@ -89,7 +92,9 @@ impl ScaleMethod {
             }
             Self::Yuan => (YUAN, "translation parallel to one ground plane"),
             Self::YuanLocal => (YUAN, "translation parallel to the local ground planes"),
-            Self::Park => ("Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015", "path of few low frequencies; rays only"),
+            Self::Park => {
+                ("Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015", "path of few low frequencies; rays only")
+            }
             Self::Kundu => ("Kundu, Krishna, Jawahar, ICCV 2011", "almost constant velocity; paths only"),
         };
         MethodInfo { name: self.name(), citation, needs, is_reference: self.is_reference() }
