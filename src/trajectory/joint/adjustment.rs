@@ -186,15 +186,11 @@ impl<'a> Adjustment<'a> {
                 up: Vector3::z(),
                 sigma_distance: self.sigma_distance(in_object, &middle).max(plane.own_height_std()),
                 sigma_tilt: SIGMA_TILT.max(plane.tilt_std),
-                loss: RobustLoss::Squared,
+                loss: RobustLoss::Cauchy { scale: LOSS_SCALE },
             })
         };
         let mut found: Vec<PlanePrior> = background.paired_images(&self.object).into_iter().filter_map(known).collect();
         found.retain(|plane| plane.camera_height.is_finite() && plane.normal_in_cam.norm_squared() > 0.5);
-        let scale = self.loss_scale(&found);
-        for plane in &mut found {
-            plane.loss = RobustLoss::Cauchy { scale };
-        }
         found
     }
 
@@ -208,17 +204,6 @@ impl<'a> Adjustment<'a> {
     pub(super) fn common_height_std(&self) -> f64 {
         let share = common_height_std(self.evidence.planes.values()) / self.camera_height;
         if share.is_finite() { share } else { 0.0 }
-    }
-
-    /// As long as most planes are far off, none of them is an outlier.
-    fn loss_scale(&self, planes: &[PlanePrior]) -> f64 {
-        let poses: Vec<&Image> = self.object.images.values().collect();
-        let off = |plane: &PlanePrior| {
-            let (distance, tilt) = plane.residual(&poses[plane.pose].cam_from_world);
-            distance.abs().max(tilt.norm())
-        };
-        let typical = median(planes.iter().map(off).collect()).unwrap_or(0.0);
-        LOSS_SCALE * typical.max(1.0)
     }
 
     /// The outlines' word on where the ground is, spread over all points: each is near where it is, but lower by the
