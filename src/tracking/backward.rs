@@ -5,13 +5,12 @@
 //! frames: by flow, and by masks asked for in the box of the carried one. Memory is one mask per object.
 //!
 //! An object is followed no further where it leaves the picture or becomes too small, where flow, colours or the new
-//! masks fail, or where another object has its pixels ([`End`]).
+//! masks fail, or where another object has its pixels.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use ::image::RgbImage;
-use serde::{Deserialize, Serialize};
 
 use super::appearance::Appearance;
 use super::boxes::FrameView;
@@ -25,47 +24,20 @@ use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 /// A mask of which more than this share belongs to another object shows that one.
 const MET: f64 = 0.5;
 
-/// Why an object is followed back no further.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum End {
-    /// There are no earlier frames.
-    Start,
-    /// It leaves the picture.
-    Left,
-    /// It becomes too small, is hidden, or its masks do not fit any more.
-    Lost,
-    /// Its place is taken by another object, which may be the same vehicle if it ends there.
-    Met(ObjectId),
-}
-
-/// Backward extension of an object's track.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Extension {
-    /// Which object.
-    pub object: ObjectId,
-    /// The first frame with a mask that can be trusted. Masks reported for earlier frames are guesses: drop them.
-    pub first: FrameId,
-    /// Frames before its first mask until now, from `first` on, with a mask.
-    pub num_frames: usize,
-    /// Why it is followed no further.
-    pub end: End,
-}
-
 /// Follows objects back in time from their first masks; see the module.
 #[derive(Clone, Debug)]
 pub struct BackwardTracker {
     tracker: Tracker,
     /// Per object its first frame until now, and what its masks were worth.
     starts: BTreeMap<ObjectId, (FrameId, f64)>,
-    finished: Vec<Extension>,
+    finished: BTreeMap<ObjectId, FrameId>,
 }
 
 impl BackwardTracker {
     /// For the objects of these summaries, under their lasting ids.
     pub fn new(options: TrackerOptions, objects: &[TrackSummary]) -> Self {
         let start = |object: &TrackSummary| (object.id, (object.first, object.mask_quality.unwrap_or(1.0)));
-        Self { tracker: Tracker::new(options), starts: objects.iter().map(start).collect(), finished: Vec::new() }
+        Self { tracker: Tracker::new(options), starts: objects.iter().map(start).collect(), finished: BTreeMap::new() }
     }
 
     /// Returns true if any object is being followed; otherwise flow and masks need not be computed.
@@ -112,18 +84,17 @@ impl BackwardTracker {
         let known: Vec<(ObjectId, Region)> =
             known.iter().filter_map(|(object, mask)| Some((*object, Region::from_mask(mask)?))).collect();
         let masks = self.cut(&seen, frame.id, &known, image.dimensions());
-        self.end_tracks(&seen, &known, frame.id, image.dimensions());
+        self.end_tracks(&seen, &known, frame.id);
         self.start(image, &known, now);
         self.tracker.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
         self.tracker.last_picture = Some(image.clone());
         Ok(masks)
     }
 
-    /// Extensions of all objects, ascending by id. Objects whose first frame never came are omitted.
-    pub fn finish(mut self) -> Vec<Extension> {
-        let left = self.tracker.tracks.iter().map(|track| extension(track, End::Start));
-        self.finished.extend(left);
-        self.finished.sort_by_key(|extension| extension.object);
+    /// First frame with a reliable mask of each object; drop the masks reported for earlier frames. Objects whose first
+    /// frame never came are omitted.
+    pub fn finish(mut self) -> BTreeMap<ObjectId, FrameId> {
+        self.finished.extend(self.tracker.tracks.iter().map(first_reliable));
         self.finished
     }
 
@@ -137,7 +108,7 @@ impl BackwardTracker {
     ) -> Vec<TrackedMask> {
         let is_free = |x: u32, y: u32| known.iter().all(|(_, region)| !region.contains(x, y));
         let cut = |s: &TrackObservation| {
-            let is_met = who_is_met(&self.tracker.tracks[s.track_idx], &s.region, known).is_some();
+            let is_met = is_met(&self.tracker.tracks[s.track_idx], &s.region, known);
             let region = s.region.filtered(is_free).filter(|_| !is_met)?;
             Some(TrackObservation { region, ..*s })
         };
@@ -151,31 +122,18 @@ impl BackwardTracker {
         seen: &[TrackObservation],
         known: &[(ObjectId, Region)],
         frame: FrameId,
-        (width, height): (u32, u32),
     ) {
         let tracks = std::mem::take(&mut self.tracker.tracks);
         for (track_idx, track) in tracks.into_iter().enumerate() {
             let region = seen.iter().find(|s| s.track_idx == track_idx).map(|s| &s.region);
-            let met = who_is_met(&track, region.unwrap_or(&track.region), known);
-            match (met, region) {
-                (Some(other), _) => self.finished.push(self.until_met(&track, other, frame)),
-                (None, None) if leaves_at_rim(&track, width, height) => {
-                    self.finished.push(extension(&track, End::Left));
-                }
-                (None, None) => self.finished.push(extension(&track, End::Lost)),
-                (None, Some(_)) => self.tracker.tracks.push(track),
+            let is_met = is_met(&track, region.unwrap_or(&track.region), known);
+            let (object, first) = first_reliable(&track);
+            match self.tracker.last_frame {
+                _ if !is_met && region.is_some() => self.tracker.tracks.push(track),
+                // The mask of this frame is the other object's.
+                Some((later, ..)) if is_met && first == frame => self.finished.extend([(object, later)]),
+                _ => self.finished.extend([(object, first)]),
             }
-        }
-    }
-
-    /// The extension of a track that meets another object in a frame, which is not its own any more.
-    fn until_met(&self, track: &Track, other: ObjectId, frame: FrameId) -> Extension {
-        let extension = extension(track, End::Met(other));
-        match self.tracker.last_frame {
-            Some((later, ..)) if extension.first == frame => {
-                Extension { first: later, num_frames: extension.num_frames.saturating_sub(1), ..extension }
-            }
-            _ => extension,
         }
     }
 
@@ -191,20 +149,11 @@ impl BackwardTracker {
     }
 }
 
-fn extension(track: &Track, end: End) -> Extension {
-    let num_frames = track.num_frames_resumed();
-    Extension { object: track.provisional, first: track.last_detected.frame, num_frames, end }
+fn first_reliable(track: &Track) -> (ObjectId, FrameId) {
+    (track.provisional, track.last_detected.frame)
 }
 
-/// The other object to which most of a region belongs.
-fn who_is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> Option<ObjectId> {
-    let share = |other: &&(ObjectId, Region)| region.covered_by(&other.1);
-    let others = known.iter().filter(|(object, _)| *object != track.provisional);
-    let most = others.max_by(|a, b| share(a).total_cmp(&share(b)))?;
-    (share(&most) > MET).then_some(most.0)
-}
-
-/// Returns true if a lost object was at the image border.
-fn leaves_at_rim(track: &Track, width: u32, height: u32) -> bool {
-    track.is_lost() && track.region.bounds().touches_border(width, height)
+/// Returns true if most of a region belongs to one other object.
+fn is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> bool {
+    known.iter().any(|(object, other)| *object != track.provisional && region.covered_by(other) > MET)
 }

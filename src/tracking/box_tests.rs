@@ -399,9 +399,8 @@ fn a_car_that_was_found_late_gets_masks_from_its_first_frame_on() {
         let (mut frames, tracks) = world.track_boxes(40, every, late, &honest);
         let first = 22_usize.next_multiple_of(every);
         assert_eq!((tracks.len(), tracks[0].first), (1, FrameId(first as u32)));
-        let extensions = world.extend_back(&mut frames, &tracks, every, &honest);
-        let whole = Extension { object: ObjectId(1), first: FrameId(0), num_frames: first, end: End::Start };
-        assert_eq!(extensions, [whole]);
+        let firsts = world.extend_back(&mut frames, &tracks, every, &honest);
+        assert_eq!(firsts, [(ObjectId(1), FrameId(0))].into());
         assert_eq!(shown(&world, &frames, 1, 0), (0..40).collect::<Vec<_>>());
     }
 }
@@ -411,10 +410,9 @@ fn a_car_is_followed_back_to_where_it_enters_the_picture_and_no_further() {
     let world = World::still(vec![Thing::car(RED, |t| (-60 + 4 * t as i64, 30))]);
     let late = |t: usize| if t < 30 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
-    let extensions = world.extend_back(&mut frames, &tracks, 5, &honest);
-    assert_eq!((extensions.len(), extensions[0].end), (1, End::Left), "{extensions:?}");
+    let firsts = world.extend_back(&mut frames, &tracks, 5, &honest);
     // The car enters with frame 10 and is half visible in frame 13.
-    assert!((10..=13).contains(&extensions[0].first.0), "{extensions:?}");
+    assert!(firsts.len() == 1 && (10..=13).contains(&firsts[&ObjectId(1)].0), "{firsts:?}");
     assert!(frames[..10].iter().all(Vec::is_empty));
 }
 
@@ -423,11 +421,10 @@ fn a_car_that_comes_from_behind_a_wall_is_not_followed_into_it() {
     let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(0, 90)]);
     let late = |t: usize| if t < 33 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
-    let extensions = world.extend_back(&mut frames, &tracks, 5, &honest);
-    assert_eq!(extensions[0].end, End::Lost);
+    let firsts = world.extend_back(&mut frames, &tracks, 5, &honest);
     let hidden = (0..40).filter(|&t| world.mask(t, 0).area_px2() == 0);
-    assert!(hidden.into_iter().all(|t| frames[t].is_empty()), "{extensions:?}");
-    assert!(shown(&world, &frames, 1, 0).len() >= 13, "{extensions:?}");
+    assert!(hidden.into_iter().all(|t| frames[t].is_empty()), "{firsts:?}");
+    assert!(shown(&world, &frames, 1, 0).len() >= 13, "{firsts:?}");
 }
 
 #[test]
@@ -444,9 +441,7 @@ fn who_meets_another_object_is_followed_no_further() {
         let flow = (t < 39).then(|| world.flow_between(t + 1, t));
         tracker.advance(&World::frame(t), &world.image(t), &known, None, flow.as_ref()).unwrap();
     }
-    let met = Extension { object: ObjectId(2), first: FrameId(13), num_frames: 12, end: End::Met(ObjectId(1)) };
-    let start = Extension { object: ObjectId(1), first: FrameId(0), num_frames: 0, end: End::Start };
-    assert_eq!(tracker.finish(), [start, met]);
+    assert_eq!(tracker.finish(), [(ObjectId(1), FrameId(0)), (ObjectId(2), FrameId(13))].into());
 }
 
 #[test]

@@ -57,7 +57,7 @@ mod world;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-pub use self::backward::{BackwardTracker, End, Extension};
+pub use self::backward::BackwardTracker;
 pub use self::retrace::{CUT_PX, Correction};
 pub use self::support::{MaskEvidence, Unsupported, support};
 pub use self::tracker::Tracker;

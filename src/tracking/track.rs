@@ -160,11 +160,6 @@ impl Track {
         Self { quality, ..Self::bare(provisional, region, appearance, now) }
     }
 
-    /// Frames with a mask since the track was resumed, until the last one that can be trusted.
-    pub(super) fn num_frames_resumed(&self) -> usize {
-        self.ledger.found.prompted + self.ledger.found.carried
-    }
-
     fn bare(provisional: ObjectId, region: Region, appearance: Option<Appearance>, now: Moment) -> Self {
         let (size, area) = (region.size(), region.area() as f64);
         let mut way = Way::default();

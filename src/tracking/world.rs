@@ -1,9 +1,11 @@
 //! A flat world for tests: coloured boxes slide over a background, with exact masks and exact flow.
 
+use std::collections::BTreeMap;
+
 use ::image::{Rgb, RgbImage};
 
 use super::{
-    BackwardTracker, BoxSource, DetectedBox, Extension, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
+    BackwardTracker, BoxSource, DetectedBox, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
 };
 use crate::networks::{BoxMask, BoxSegmenter, KnownMasks, PerceptionError};
 use crate::scene::{BoxDetection, Detection, DetectionSource, Flow, Frame, FrameId, Mask, ObjectId, Rect};
@@ -202,7 +204,7 @@ impl World {
         tracks: &[TrackSummary],
         every: usize,
         spoil: &dyn Fn(usize, BoxMask) -> Option<BoxMask>,
-    ) -> Vec<Extension> {
+    ) -> BTreeMap<ObjectId, FrameId> {
         let lasting = |m: TrackedMask, t: usize| {
             let track = tracks.iter().find(|track| track.provisional == m.object)?;
             (track.first.0..=track.last.0).contains(&(t as u32)).then_some(TrackedMask { object: track.id, ..m })
@@ -217,10 +219,10 @@ impl World {
             let earlier = tracker.advance(&Self::frame(t), &self.image(t), &known, prompter, flow.as_ref()).unwrap();
             frames[t].extend(earlier);
         }
-        let extensions = tracker.finish();
+        let firsts = tracker.finish();
         for (t, masks) in frames.iter_mut().enumerate() {
-            masks.retain(|m| extensions.iter().all(|e| e.object != m.object || e.first.0 as usize <= t));
+            masks.retain(|m| firsts.get(&m.object).is_none_or(|first| first.0 as usize <= t));
         }
-        extensions
+        firsts
     }
 }

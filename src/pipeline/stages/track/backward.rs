@@ -15,8 +15,8 @@ use crate::networks::FlowEstimator;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::{Result, Stage};
-use crate::scene::{Frame, FrameId, ObjectId};
-use crate::tracking::{BackwardTracker, Correction, Evidence, Extension, TrackSummary, TrackedMask};
+use crate::scene::{Frame, FrameId};
+use crate::tracking::{BackwardTracker, Correction, Evidence, TrackSummary, TrackedMask};
 
 /// Bytes of pictures that a window may hold.
 const WINDOW_BYTES: usize = 160 << 20;
@@ -101,9 +101,9 @@ fn follow_back(
         }
         later = Some(picture);
     }
-    let extensions: BTreeMap<ObjectId, Extension> = tracker.finish().into_iter().map(|e| (e.object, e)).collect();
+    let firsts = tracker.finish();
     for (frame, mask) in found {
-        let is_sure = extensions.get(&mask.object).is_some_and(|extension| extension.first <= frame.id);
+        let is_sure = firsts.get(&mask.object).is_some_and(|first| *first <= frame.id);
         let one = followed.iter_mut().find(|one| one.summary.id == mask.object);
         if let (true, Some(one)) = (is_sure, one) {
             masks::write_mask(&super::mask_path(folder, mask.object, &frame), &mask.mask)?;
