@@ -37,8 +37,6 @@ pub(super) struct FrameView<'a> {
 /// Detections of a frame, and their association with tracks.
 pub(super) struct Meeting {
     pub(super) predictions: Vec<Prediction>,
-    /// Per track whether it is followed and its carried mask can be trusted.
-    is_carried: Vec<bool>,
     /// Per track whether its carried mask serves without a new one, for the object stands.
     pub(super) is_at_rest: Vec<bool>,
     pub(super) sights: Vec<BoxGroup>,
@@ -54,7 +52,7 @@ pub(super) struct Meeting {
 
 impl Meeting {
     pub(super) fn carried(&self, track: usize) -> Option<&Propagated> {
-        self.predictions[track].carried.as_ref().filter(|_| self.is_carried[track])
+        self.predictions[track].carried.as_ref()
     }
 
     fn sight(&self, track: usize) -> Option<&BoxGroup> {
@@ -120,24 +118,21 @@ impl Tracker {
     /// Where all tracks should be, and what boxes show.
     fn meet(&self, view: &FrameView, found: Vec<DetectedBox>) -> Meeting {
         let mut predictions = self.predict(view.flow, view.image, view.elapsed_s);
-        let mut is_carried: Vec<bool> =
-            self.tracks.iter().zip(&predictions).map(|(track, p)| self.is_trusted(track, p, view.image)).collect();
-        let trusted = predictions.iter().zip(&is_carried).filter(|(_, is_carried)| **is_carried);
-        let rects: Vec<Rect> = trusted.filter_map(|(p, _)| Some(p.carried.as_ref()?.region.rect())).collect();
+        let is_trusted = |track: &Track, carried: &Propagated| is_trusted(track, carried, view.image);
+        for (track, prediction) in self.tracks.iter().zip(&mut predictions) {
+            prediction.carried = prediction.carried.take().filter(|carried| is_trusted(track, carried));
+        }
+        let rects: Vec<Rect> = predictions.iter().filter_map(|p| Some(p.carried.as_ref()?.region.rect())).collect();
         let sights = box_groups::merge(found, &rects, &self.options, view.image.dimensions());
-        let lost_just_now = |k: &usize| !is_carried[*k] && !self.tracks[*k].is_lost();
-        let without_flow: Vec<usize> = (0..self.tracks.len()).filter(lost_just_now).collect();
-        for k in without_flow {
-            let track = &self.tracks[k];
-            if let Some(carried) = carried_by_box(track, &predictions[k], &sights) {
-                predictions[k].carried = Some(carried);
-                is_carried[k] = self.is_trusted(track, &predictions[k], view.image);
+        for (track, prediction) in self.tracks.iter().zip(&mut predictions) {
+            if prediction.carried.is_none() && !track.is_lost() {
+                let carried = carried_by_box(track, prediction, &sights);
+                prediction.carried = carried.filter(|carried| is_trusted(track, carried));
             }
         }
         let (num_tracks, num_sights) = (self.tracks.len(), sights.len());
         Meeting {
             predictions,
-            is_carried,
             is_at_rest: vec![false; num_tracks],
             sights,
             masks: vec![None; num_sights],
@@ -145,16 +140,6 @@ impl Tracker {
             sight_of: vec![None; num_tracks],
             outline: Outline::default(),
         }
-    }
-
-    /// Returns true if the propagated mask of a followed object may be the object's.
-    fn is_trusted(&self, track: &Track, prediction: &Prediction, image: &RgbImage) -> bool {
-        prediction.carried.as_ref().filter(|_| !track.is_lost()).is_some_and(|carried| {
-            carried.share >= MIN_CARRIED_SHARE
-                && carried.region.area() >= MIN_AREA_PX2
-                && !carried.is_nearly_hidden()
-                && looks_like(track, image, &carried.region)
-        })
     }
 
     /// The boxes that wait, moved to where they are in this frame.
@@ -169,7 +154,7 @@ impl Tracker {
     /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks. An object that is
     /// partly hidden may show all of itself again: its whole outline counts as well as what was seen of it.
     fn associate_boxes(&self, meeting: &mut Meeting) {
-        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_some()).collect();
         let pairs = assign(rows.len(), meeting.sights.len(), |row, s| {
             let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[s]);
             let carried = meeting.carried(rows[row])?;
@@ -218,7 +203,7 @@ impl Tracker {
     /// Gives every track in sight the mask that fits it best. No two tracks get the same: the one for which more
     /// speaks comes first, the other takes what is left, or is lost.
     fn choose(&mut self, view: &FrameView, meeting: &Meeting) -> Vec<TrackObservation> {
-        let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.is_carried[*t]).collect();
+        let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_some()).collect();
         let rank = |t: usize| (meeting.sight_of[t].is_some(), self.tracks[t].rank());
         order.sort_by(|&a, &b| rank(b).cmp(&rank(a)).then(a.cmp(&b)));
         let mut seen: Vec<TrackObservation> = Vec::new();
@@ -265,7 +250,7 @@ impl Tracker {
 
     /// Continues tracks whose flow failed just now by the masks where they should be.
     fn look_for(&mut self, view: &FrameView, meeting: &Meeting, seen: &mut Vec<TrackObservation>) {
-        for track_idx in (0..self.tracks.len()).filter(|t| !meeting.is_carried[*t]) {
+        for track_idx in (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_none()) {
             let Some(place) = &meeting.predictions[track_idx].moved else { continue };
             let is_shown = |fresh: &&Fresh| self.tracks[track_idx].is_shown_by(fresh, place);
             let shown = meeting.own_masks[track_idx].iter().find(is_shown);
@@ -298,7 +283,7 @@ impl Tracker {
         seen: &[TrackObservation],
     ) -> Vec<TrackObservation> {
         let may_return = |t: &usize| {
-            !meeting.is_carried[*t]
+            meeting.carried(*t).is_none()
                 && seen.iter().all(|s| s.track_idx != *t)
                 && (!self.tracks[*t].is_lost() || self.tracks[*t].is_briefly_lost(view.now))
         };
@@ -380,6 +365,14 @@ fn carried_by_box(track: &Track, prediction: &Prediction, sights: &[BoxGroup]) -
         share: 1.0,
         motion: Affine::shift(displacement),
     })
+}
+
+/// Returns true if a propagated mask may be the object's.
+fn is_trusted(track: &Track, carried: &Propagated, image: &RgbImage) -> bool {
+    carried.share >= MIN_CARRIED_SHARE
+        && carried.region.area() >= MIN_AREA_PX2
+        && !carried.is_nearly_hidden()
+        && looks_like(track, image, &carried.region)
 }
 
 fn detected(sight: &BoxGroup) -> Evidence {

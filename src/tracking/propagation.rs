@@ -57,8 +57,7 @@ struct Moving {
 /// The pixels of a region whose flow is consistent and that of the whole; `None` if there is none.
 fn moving(region: &Region, flow: &Flow) -> Option<Moving> {
     let consistent: Vec<(u32, u32)> = region.iter().filter(|&(x, y)| flow.is_consistent(x, y)).collect();
-    let component = |c: usize| consistent.iter().map(|&(x, y)| f64::from(flow.at(x, y)[c])).collect::<Vec<f64>>();
-    let displacement = [upper_median(component(0))?, upper_median(component(1))?];
+    let displacement = median_flow(&consistent, flow)?;
     let deviation = |x: u32, y: u32| {
         let d = flow.at(x, y);
         length([f64::from(d[0]) - displacement[0], f64::from(d[1]) - displacement[1]])
@@ -67,6 +66,12 @@ fn moving(region: &Region, flow: &Flow) -> Option<Moving> {
     let limit = MAX_DEVIATION_PX.max(MAX_DEVIATION_SPREADS * spread);
     let pixels = consistent.into_iter().filter(|&(x, y)| deviation(x, y) <= limit).collect();
     Some(Moving { pixels, displacement })
+}
+
+/// Component-wise median of the flow at some pixels; `None` without any.
+fn median_flow(pixels: &[(u32, u32)], flow: &Flow) -> Option<[f64; 2]> {
+    let median = |c: usize| upper_median(pixels.iter().map(|&(x, y)| f64::from(flow.at(x, y)[c])).collect());
+    Some([median(0)?, median(1)?])
 }
 
 /// An object as it was in the frame before.
@@ -116,19 +121,11 @@ pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied
     let margin = bounds.width().max(bounds.height()).max(8);
     let BoundingBox { x0, y0, x1, y1 } = bounds.grown(margin, (flow.width, flow.height));
     let step = ((x1 - x0).max(y1 - y0) / GRID).max(1) as usize;
-    let mut samples: Vec<[f32; 2]> = Vec::new();
-    for y in (y0..y1).step_by(step) {
-        for x in (x0..x1).step_by(step) {
-            if flow.is_consistent(x, y) && !occupied.get(i64::from(x), i64::from(y)) {
-                samples.push(flow.at(x, y));
-            }
-        }
-    }
-    if samples.len() < MIN_SAMPLES {
-        return None;
-    }
-    let component = |c: usize| samples.iter().map(|d| f64::from(d[c])).collect::<Vec<f64>>();
-    Some([upper_median(component(0))?, upper_median(component(1))?])
+    let is_background =
+        |&(x, y): &(u32, u32)| flow.is_consistent(x, y) && !occupied.get(i64::from(x), i64::from(y));
+    let grid = (y0..y1).step_by(step).flat_map(|y| (x0..x1).step_by(step).map(move |x| (x, y)));
+    let samples: Vec<(u32, u32)> = grid.filter(is_background).collect();
+    median_flow(&samples, flow).filter(|_| samples.len() >= MIN_SAMPLES)
 }
 
 /// A box moved by the median flow of its middle; `None` if it leaves the frame, unmoved where no flow is of use.
@@ -136,16 +133,15 @@ pub(super) fn carry_rect(rect: &Rect, flow: &Flow) -> Option<Rect> {
     /// Samples along each side of the middle.
     const GRID: u32 = 12;
     let at = |from: f64, length: f64, i: u32| from + length * (0.25 + 0.5 * (f64::from(i) + 0.5) / f64::from(GRID));
-    let mut samples: Vec<[f32; 2]> = Vec::new();
+    let mut samples: Vec<(u32, u32)> = Vec::new();
     for (i, j) in (0..GRID).flat_map(|j| (0..GRID).map(move |i| (i, j))) {
         let (x, y) = (at(rect.x0, rect.width(), i), at(rect.y0, rect.height(), j));
         let inside = (0.0..f64::from(flow.width)).contains(&x) && (0.0..f64::from(flow.height)).contains(&y);
         if inside && flow.is_consistent(x as u32, y as u32) {
-            samples.push(flow.at(x as u32, y as u32));
+            samples.push((x as u32, y as u32));
         }
     }
-    let median = |c: usize| upper_median(samples.iter().map(|d| f64::from(d[c])).collect()).unwrap_or(0.0);
-    let (dx, dy) = (median(0), median(1));
+    let [dx, dy] = median_flow(&samples, flow).unwrap_or_default();
     let moved = Rect { x0: rect.x0 + dx, y0: rect.y0 + dy, x1: rect.x1 + dx, y1: rect.y1 + dy };
     let moved = moved.clipped(flow.width, flow.height);
     (moved.area_px2() >= 1.0).then_some(moved)
