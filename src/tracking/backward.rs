@@ -117,12 +117,7 @@ impl BackwardTracker {
     }
 
     /// Ends the tracks that were not seen, and those whose place is another's.
-    fn end_tracks(
-        &mut self,
-        seen: &[TrackObservation],
-        known: &[(ObjectId, Region)],
-        frame: FrameId,
-    ) {
+    fn end_tracks(&mut self, seen: &[TrackObservation], known: &[(ObjectId, Region)], frame: FrameId) {
         let tracks = std::mem::take(&mut self.tracker.tracks);
         for (track_idx, track) in tracks.into_iter().enumerate() {
             let region = seen.iter().find(|s| s.track_idx == track_idx).map(|s| &s.region);

@@ -121,8 +121,7 @@ pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied
     let margin = bounds.width().max(bounds.height()).max(8);
     let BoundingBox { x0, y0, x1, y1 } = bounds.grown(margin, (flow.width, flow.height));
     let step = ((x1 - x0).max(y1 - y0) / GRID).max(1) as usize;
-    let is_background =
-        |&(x, y): &(u32, u32)| flow.is_consistent(x, y) && !occupied.get(i64::from(x), i64::from(y));
+    let is_background = |&(x, y): &(u32, u32)| flow.is_consistent(x, y) && !occupied.get(i64::from(x), i64::from(y));
     let grid = (y0..y1).step_by(step).flat_map(|y| (x0..x1).step_by(step).map(move |x| (x, y)));
     let samples: Vec<(u32, u32)> = grid.filter(is_background).collect();
     median_flow(&samples, flow).filter(|_| samples.len() >= MIN_SAMPLES)

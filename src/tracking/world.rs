@@ -4,9 +4,7 @@ use std::collections::BTreeMap;
 
 use ::image::{Rgb, RgbImage};
 
-use super::{
-    BackwardTracker, BoxSource, DetectedBox, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions,
-};
+use super::{BackwardTracker, BoxSource, DetectedBox, FrameInput, TrackSummary, TrackedMask, Tracker, TrackerOptions};
 use crate::networks::{BoxMask, BoxSegmenter, KnownMasks, PerceptionError};
 use crate::scene::{BoxDetection, Detection, DetectionSource, Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
