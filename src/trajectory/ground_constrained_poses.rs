@@ -18,7 +18,7 @@ use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3};
 
 use crate::camera::Camera;
 use crate::math::{Rigid3, any_across, median};
-use crate::scene::{FrameId, GroundPlane, Image, ImageId, Reconstruction, Rect};
+use crate::scene::{FrameId, GroundPlane, Reconstruction, Rect};
 
 /// Poses of the cameras in the frame of an object that stands on the ground: origin below its middle, x forward, y to
 /// the left, z up, in units of the background.
@@ -35,18 +35,32 @@ pub fn ground_constrained_poses(
     planes: &BTreeMap<FrameId, GroundPlane>,
     boxes: &BTreeMap<FrameId, Rect>,
 ) -> BTreeMap<FrameId, Rigid3> {
-    let position = |(id, image): (&ImageId, &Image)| {
-        let (plane, bounds) = (planes.get(&id.frame())?, boxes.get(&id.frame())?);
-        let position = ObjectPosition::new(bounds, background.camera_of(image), &image.cam_from_world, plane)?;
-        Some(((id.frame(), image.cam_from_world), position))
-    };
-    let (cameras, positions): (Vec<_>, Vec<ObjectPosition>) = background.images.iter().filter_map(position).unzip();
+    let cameras = background.images.iter().map(|(id, image)| (id.frame(), image));
+    let (lines, rough): (Vec<LineOfSight>, Vec<ObjectPosition>) = cameras
+        .filter_map(|(frame, image)| {
+            let (plane, bounds) = (planes.get(&frame)?, boxes.get(&frame)?);
+            let camera = background.camera_of(image);
+            let ray = ray_to_ground(bounds, camera, &(image.cam_from_world.rotation * plane.normal));
+            let line = LineOfSight {
+                frame,
+                cam_from_world: image.cam_from_world,
+                ray: image.cam_from_world.rotation.inverse() * ray,
+                plane: *plane,
+                angle: bounds.extent_px() / camera.mean_focal(),
+            };
+            let position = line.position_on(&line.plane)?;
+            Some((line, position))
+        })
+        .unzip();
     // The direction of the path is taken over a length of the vehicle to either side: positions are wrong by a tenth of
     // one.
-    let Some(step) = median(positions.iter().map(|position| position.length).collect()) else { return BTreeMap::new() };
+    let Some(step) = median(rough.iter().map(|position| position.length).collect()) else { return BTreeMap::new() };
+    let positions: Vec<ObjectPosition> = (0..lines.len())
+        .map(|k| lines[k].position_on(&plane_near(&lines, &rough, k, step)).unwrap_or(rough[k]))
+        .collect();
     let forward = directions(&positions, step);
     let poses = positions.iter().zip(forward).map(|(position, forward)| position.world_from_object(&forward));
-    cameras.into_iter().zip(poses).map(|((frame, cam_from_world), pose)| (frame, cam_from_world * pose)).collect()
+    lines.iter().zip(poses).map(|(line, pose)| (line.frame, line.cam_from_world * pose)).collect()
 }
 
 /// The ray, in camera coordinates, to the point of the ground below the middle of an object.
@@ -65,6 +79,41 @@ fn ray_to_ground(bounds: &Rect, camera: &Camera, up_in_cam: &Vector3<f64>) -> Ve
     middle + down * (share * edge_px / camera.mean_focal())
 }
 
+/// The ray to the ground below the object in a frame.
+struct LineOfSight {
+    frame: FrameId,
+    cam_from_world: Rigid3,
+    /// In the background's frame.
+    ray: Vector3<f64>,
+    plane: GroundPlane,
+    /// Longer side of the box over the focal length.
+    angle: f64,
+}
+
+impl LineOfSight {
+    /// Its intersection with a plane; `None` unless that is before the camera.
+    fn position_on(&self, plane: &GroundPlane) -> Option<ObjectPosition> {
+        let center = self.cam_from_world.center();
+        let reach = -plane.signed_distance(center) / plane.normal.dot(&self.ray);
+        let ground_point = center + self.ray * reach;
+        let depth = (self.cam_from_world * ground_point).z;
+        let length = self.angle * depth;
+        let is_usable = reach > 0.0 && depth > 0.0 && length > 0.0 && (reach + length).is_finite();
+        is_usable.then_some(ObjectPosition { ground_point, up: plane.normal, length })
+    }
+}
+
+/// The plane of the ground at a position: the median of those round it, since single ones may be wrong.
+fn plane_near(lines: &[LineOfSight], positions: &[ObjectPosition], k: usize, step: f64) -> GroundPlane {
+    let [before, after] = neighbors(positions, k, step);
+    let near = || lines[before..=after].iter().map(|line| &line.plane);
+    let middle = |of: &dyn Fn(&GroundPlane) -> f64| median(near().map(of).collect()).unwrap_or_default();
+    let normal = Vector3::from_fn(|axis, _| middle(&|plane| plane.normal[axis])).normalize();
+    let ground_point = positions[k].ground_point;
+    let height = middle(&|plane| plane.signed_distance(ground_point));
+    GroundPlane { normal, point: ground_point - normal * height, ..lines[k].plane }
+}
+
 /// Where the object is in a frame.
 #[derive(Clone, Copy)]
 struct ObjectPosition {
@@ -75,19 +124,6 @@ struct ObjectPosition {
 }
 
 impl ObjectPosition {
-    /// Where the ray to the ground below an object meets its plane; `None` unless that is before the camera.
-    fn new(bounds: &Rect, camera: &Camera, cam_from_world: &Rigid3, plane: &GroundPlane) -> Option<Self> {
-        let up_in_cam = cam_from_world.rotation * plane.normal;
-        let ray = cam_from_world.rotation.inverse() * ray_to_ground(bounds, camera, &up_in_cam);
-        let center = cam_from_world.center();
-        let reach = -plane.signed_distance(center) / plane.normal.dot(&ray);
-        let ground_point = center + ray * reach;
-        let depth = (*cam_from_world * ground_point).z;
-        let length = bounds.extent_px() / camera.mean_focal() * depth;
-        let is_usable = reach > 0.0 && depth > 0.0 && length > 0.0 && (reach + length).is_finite();
-        is_usable.then_some(Self { ground_point, up: plane.normal, length })
-    }
-
     fn world_from_object(&self, forward: &Vector3<f64>) -> Rigid3 {
         let left = self.up.cross(forward).normalize();
         let rotation = UnitQuaternion::from_basis_unchecked(&[left.cross(&self.up), left, self.up]);
@@ -113,15 +149,17 @@ fn directions(positions: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
     found.into_iter().flatten().collect()
 }
 
-/// The direction of the path at a position, from its neighbor before it to that after it. `None` where the object hardly
-/// moves.
+/// The direction of the path at a position: that of the parabola through it and its neighbors, which may lie at unequal
+/// distances. `None` where the object hardly moves.
 fn direction(positions: &[ObjectPosition], k: usize, step: f64) -> Option<Vector3<f64>> {
     let [before, after] =
         neighbors(positions, k, step).map(|other| positions[other].ground_point - positions[k].ground_point);
-    if before.norm() < step && after.norm() < step {
-        return None;
-    }
-    let along = after - before;
+    let (a, b) = (before.norm(), after.norm());
+    let along = match (a >= step, b >= step) {
+        (true, true) => after * (a / b) - before * (b / a),
+        (false, false) => return None,
+        _ => after - before,
+    };
     (along - positions[k].up * positions[k].up.dot(&along)).try_normalize(0.0)
 }
 
