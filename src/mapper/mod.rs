@@ -3,9 +3,9 @@
 //! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that
 //! sees most known points first: its pose by P3P ([`crate::geometry::resection`]), new points by triangulation
 //! ([`crate::geometry::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has
-//! grown by a fixed share. Views that fail are tried again when they see more points. Views that contradict what pairs of
-//! views say by themselves are taken out and tried again (`view_graph`). When a start does not carry far, the next pair
-//! is tried, and the largest map is kept.
+//! grown by a fixed share. Views that fail are tried again when they see more points. Views that contradict what pairs
+//! of views say by themselves are taken out and tried again (`view_graph`). When a start does not carry far, the next
+//! pair is tried, and the largest map is kept.
 //!
 //! Every view that is not part of the result has a [`Reason`] in the [`Report`].
 

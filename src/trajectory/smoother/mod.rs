@@ -131,7 +131,7 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
     are_finite.then_some(Smoothed { motions, path_m, displacement_m, max_speed_m_s })
 }
 
-/// How far a position is from the smooth motion through all of them.
+/// Deviation of a position from the smooth motion through all of them.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Residual {
     pub(super) distance_m: f64,

@@ -24,7 +24,7 @@ const TOLERATED_WAY: f64 = 0.2;
 /// of a car are recognized up to some 40°.
 const MAX_TURN: f64 = 0.7;
 
-/// How well a course continues another.
+/// Agreement of a course with the one that it continues.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit {
     /// Distance from the predicted position, as a share of the tolerance.

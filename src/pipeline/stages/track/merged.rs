@@ -140,7 +140,7 @@ fn candidates(run: &Run, folder: &Path, followed: &[Followed]) -> Result<Candida
     Ok(Candidates { pieces: pieces.into_iter().map(|piece| piece.unwrap_or_else(nothing)).collect(), pairs })
 }
 
-/// How well the trajectories over the ground of two tracks agree.
+/// Agreement of two tracks over the ground.
 fn fit(before: &Piece, after: &Piece, ground: Option<&Ground<'_>>) -> Option<Fit> {
     ground?.fit(before.end.as_ref()?, after.beginning.as_ref()?)
 }
