@@ -36,7 +36,8 @@ const APART: f64 = 0.17;
 /// Loss of a deviation in standard deviations: many edges belong to none of the directions.
 const LOSS: RobustLoss = RobustLoss::Cauchy { scale: std::f64::consts::SQRT_2 };
 /// Inclinations that are possible, radians. Closer to the horizon, and to straight down, the road ahead and the
-/// upright change places: a vanishing point in the image may be either.
+/// upright change places: a vanishing point in the image may be either. A drone's view straight down was taken for 73.5°
+/// ± 1.4° through a lens three times as long as it has, so that the upper limit must be two deviations away.
 const INCLINATIONS: [f64; 2] = [0.09, 1.31];
 /// Fewest segments: of fewer, random ones are explained, too.
 const MIN_SEGMENTS: usize = 50;
@@ -93,7 +94,8 @@ pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Optio
         return None;
     }
     let (mean, covariance) = mean_of_minima(&minima);
-    let is_possible = (INCLINATIONS[0]..=INCLINATIONS[1]).contains(&mean.x) && covariance.iter().all(|x| x.is_finite());
+    let [least, most] = INCLINATIONS;
+    let is_possible = mean.x >= least && mean.x + 2.0 * covariance[(0, 0)].sqrt() <= most;
     let tilt_std = (covariance[(0, 0)] + covariance[(1, 1)]).sqrt();
     tracing::debug!(
         "straight lines: {} segments, {share:.2} explained, pitch {:.1}°, tilt ± {:.1}°, focal length × {:.3}",

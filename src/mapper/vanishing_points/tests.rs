@@ -103,3 +103,15 @@ fn lines_of_any_direction_show_nothing() {
         assert_eq!(horizon(&[in_first(&segments)], &camera(), 0.25), None, "{num}");
     }
 }
+
+#[test]
+fn lines_seen_from_straight_above_show_nothing() {
+    let mut rng = seeded_rng(5, 0);
+    for (pitch, focal_std) in [(1.45, 0.4), (1.5, 0.4), (1.57, 0.4), (1.57, 0.0)] {
+        for _ in 0..4 {
+            let segments = street(&camera(), &up_in_cam(Vector2::new(pitch, 0.0)), 0.0, &mut rng);
+            let found = horizon(&[in_first(&segments)], &camera(), focal_std);
+            assert_eq!(found.map(|found| found.normal_in_cam), None, "{pitch}");
+        }
+    }
+}
