@@ -247,6 +247,28 @@ fn one_car_overtakes_the_other() {
 }
 
 #[test]
+fn a_car_that_passes_a_parked_one_takes_nothing_of_it_along() {
+    let world = World::still(vec![Thing::car(RED, |_| (80, 40)), Thing::car(RED, |t| (5 + 4 * t as i64, 54))]);
+    // Side by side a network answers with a part of the other one, too.
+    let and_more = |t: usize, answer: BoxMask| {
+        let is_next_to_it = (60..=100).contains(&(5 + 4 * t));
+        let is_of_either = |x: u32, y: u32| (0..2).any(|thing| world.mask(t, thing).get(x.into(), y.into()));
+        let mask = Mask::from_fn(WIDTH, HEIGHT, |x, y| {
+            answer.mask.get(x.into(), y.into()) || is_next_to_it && (49..59).contains(&y) && is_of_either(x, y)
+        });
+        Some(BoxMask { mask, ..answer })
+    };
+    let (frames, tracks) = world.track_boxes(40, 4, |t| world.boxes(t, DetectionSource::Detector), &and_more);
+    assert_eq!(tracks.len(), 2, "{tracks:#?}");
+    for (t, masks) in frames.iter().enumerate() {
+        for thing in 0..2 {
+            let truth = world.mask(t, thing);
+            assert!(masks.iter().any(|found| found.mask.iou(&truth) > 0.9), "frame {t}, thing {thing}");
+        }
+    }
+}
+
+#[test]
 fn a_car_behind_a_pole_stays_itself() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(80, 8)]);

@@ -390,7 +390,7 @@ fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Propaga
     };
     let in_sight = meeting.sight_of[track_idx].and_then(|sight| meeting.masks[sight].clone());
     let new = in_sight.into_iter().chain(meeting.own_masks[track_idx].clone());
-    let new = new.filter_map(|fresh| uncovered(fresh, carried));
+    let new = new.filter_map(|fresh| uncovered(fresh, carried)).filter_map(|fresh| own(fresh, track_idx, meeting));
     let mut choices: Vec<Choice> = new
         .map(|fresh| Choice { score: score(&fresh, &expected), fresh: Some(fresh) })
         .filter(|choice| choice.score >= MIN_SCORE)
@@ -408,6 +408,20 @@ fn uncovered(fresh: Fresh, carried: &Propagated) -> Option<Fresh> {
         return Some(fresh);
     }
     let region = carried.cover.cut(&fresh.region)?;
+    (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
+}
+
+/// A new mask without what only another track carried here: the box of a car that passes a parked one holds both, and a
+/// network answers with both. `None` if that is most of it.
+fn own(fresh: Fresh, track_idx: usize, meeting: &Meeting) -> Option<Fresh> {
+    let carried = meeting.carried(track_idx)?;
+    let others = (0..meeting.predictions.len()).filter(|other| *other != track_idx);
+    let touching: Vec<&Region> = others
+        .filter_map(|other| Some(&meeting.carried(other)?.region))
+        .filter(|other| other.rect().iou(&fresh.region.rect()) > 0.0)
+        .collect();
+    let is_others = |x: u32, y: u32| touching.iter().any(|other| other.contains(x, y));
+    let region = fresh.region.filtered(|x, y| carried.region.contains(x, y) || !is_others(x, y))?;
     (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
 }
 
