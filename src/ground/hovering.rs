@@ -119,8 +119,8 @@ const SIZE_STD: f64 = 0.4;
 const BOX_LENGTH: f64 = 0.01;
 /// Sights to both sides between which a vehicle's direction is taken.
 const REACH: usize = 3;
-/// Way between them at least, as a share of the vehicle's extent: the middles of masks err by a tenth of it. It must not
-/// depend on the normal: the sum of squares would be least where fewest sights have a direction.
+/// Way between them at least, as a share of the vehicle's extent: the middles of masks err by a tenth of it. It must
+/// not depend on the normal: the sum of squares would be least where fewest sights have a direction.
 const MIN_WAY: f64 = 0.5;
 /// Smallest inclination that is tried, radians: a horizon just outside the image.
 const MIN_INCLINATION: f64 = 0.03;
@@ -435,9 +435,9 @@ impl Problem {
         (0..=NUM_PITCHES).map(cost).collect()
     }
 
-    /// By how much extents and sizes vary more than stated, at least 1: the factor with which their mean loss is that of
-    /// normal errors (P. J. Huber, *Robust Statistics*, 1981, proposal 2). Masks of vehicles of 12 pixels that catch
-    /// shadows and neighbors grow by half along a path.
+    /// Actual over stated standard deviation of extents and sizes, at least 1: the factor with which their mean loss is
+    /// that of normal errors (P. J. Huber, *Robust Statistics*, 1981, proposal 2). Masks of vehicles of 12 pixels that
+    /// catch shadows and neighbors grow by half along a path.
     fn actual_noise(&self) -> f64 {
         /// Mean loss of a normal error.
         const EXPECTED: f64 = 0.776;

@@ -36,8 +36,8 @@ const APART: f64 = 0.17;
 /// Loss of a deviation in standard deviations: many edges belong to none of the directions.
 const LOSS: RobustLoss = RobustLoss::Cauchy { scale: std::f64::consts::SQRT_2 };
 /// Inclinations that are possible, radians. Closer to the horizon, and to straight down, the road ahead and the
-/// upright change places: a vanishing point in the image may be either. A drone's view straight down was taken for 73.5°
-/// ± 1.4° through a lens three times as long as it has, so that the upper limit must be two deviations away.
+/// upright change places: a vanishing point in the image may be either. A drone's view straight down was taken for
+/// 73.5° ± 1.4° through a lens three times as long as it has, so that the upper limit must be two deviations away.
 const INCLINATIONS: [f64; 2] = [0.09, 1.31];
 /// Fewest segments: of fewer, random ones are explained, too.
 const MIN_SEGMENTS: usize = 50;
