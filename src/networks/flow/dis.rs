@@ -39,7 +39,7 @@ impl DisFlow {
         let mut algorithm = DISOpticalFlow::create(DISOpticalFlow_PRESET_FAST)?;
         // Down to half of the resolution: the preset ends at a quarter.
         algorithm.set_finest_scale(1)?;
-        // Refinement takes two thirds of the time, and masks are better without it (docs/benchmarks/perception.md).
+        // Refinement takes two thirds of the time, and masks are as good without it (docs/benchmarks/perception.md).
         algorithm.set_variational_refinement_iterations(0)?;
         Ok(Self { algorithm })
     }
