@@ -46,4 +46,4 @@ pub use trajectory::{
     ScaleEstimate, ScaleShares, ScaleSupport, StationaryVehicles, Trajectories, Unit,
 };
 pub use verdict::{Finding, Reason, ReasonKind, Trust, Verdict};
-pub use warning::{Topic, Warning, warning_text};
+pub use warning::{MAX_SHOWN, Topic, Warning, first_of_each_topic, warning_text};

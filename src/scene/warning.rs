@@ -1,5 +1,6 @@
 //! Warnings of a run, each with its section of docs/troubleshooting.md.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
@@ -8,7 +9,7 @@ use serde::{Deserialize, Serialize};
 macro_rules! topics {
     ($($name:ident: $anchor:literal,)*) => {
         /// Topic of a warning: a section of docs/troubleshooting.md, by its anchor and in the order of the page.
-        #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
         pub enum Topic {
             $(
                 #[doc = concat!("Section `", $anchor, "`.")]
@@ -88,6 +89,11 @@ impl Topic {
     pub fn warning(self, text: impl Into<String>) -> Warning {
         Warning { topic: self, text: text.into() }
     }
+
+    /// Line in place of more warnings on this topic.
+    pub fn not_shown(self, num: usize) -> Warning {
+        self.warning(format!("{num} more, in run.json"))
+    }
 }
 
 /// Problem of an input or a result that exists nevertheless.
@@ -118,11 +124,35 @@ impl fmt::Display for Warning {
 
 /// Text of a displayed warning, without the reference to its section.
 pub fn warning_text(displayed: &str) -> &str {
+    split(displayed).map_or(displayed, |(text, _)| text)
+}
+
+/// Displayed warnings of which at most five are on one topic, and for each topic with more a line with their number.
+pub fn first_of_each_topic(displayed: Vec<String>) -> Vec<String> {
+    let mut nums = BTreeMap::<Topic, usize>::new();
+    let mut is_shown = |warning: &String| {
+        let Some(topic) = split(warning).and_then(|(_, anchor)| Topic::ALL.iter().find(|of| of.name() == anchor))
+        else {
+            return true;
+        };
+        let num = nums.entry(*topic).or_default();
+        *num += 1;
+        *num <= MAX_SHOWN
+    };
+    let mut shown: Vec<String> = displayed.into_iter().filter(|warning| is_shown(warning)).collect();
+    let more = nums.into_iter().filter(|(_, num)| *num > MAX_SHOWN);
+    shown.extend(more.map(|(topic, num)| topic.not_shown(num - MAX_SHOWN).to_string()));
+    shown
+}
+
+/// Warnings that are shown of one topic: more nobody reads, and `run.json` has all.
+pub const MAX_SHOWN: usize = 5;
+
+/// Text and section of a displayed warning.
+fn split(displayed: &str) -> Option<(&str, &str)> {
     let [start, end] = REFERENCE;
-    match displayed.rsplit_once(start) {
-        Some((text, anchor)) if anchor.ends_with(end) => text,
-        _ => displayed,
-    }
+    let (text, anchor) = displayed.rsplit_once(start)?;
+    Some((text, anchor.strip_suffix(end)?))
 }
 
 #[cfg(test)]
@@ -136,5 +166,20 @@ mod tests {
         assert_eq!(displayed, "background: all points are near one plane [troubleshooting: planar-scene]");
         assert_eq!(warning_text(&displayed), warning.text);
         assert_eq!(warning_text("a [b] c"), "a [b] c");
+    }
+
+    #[test]
+    fn of_many_warnings_on_one_topic_five_are_shown() {
+        let far = |id: u32| Topic::VehicleSkipped.warning(format!("object {id}: skipped: far")).to_string();
+        let other = Topic::PlanarScene.warning("flat").to_string();
+        let mut all: Vec<String> = (0..5).map(far).collect();
+        all.push(other.clone());
+        assert_eq!(first_of_each_topic(all.clone()), all);
+        let mut shown = all.clone();
+        shown.push("2 more, in run.json [troubleshooting: vehicle-skipped]".to_owned());
+        all.extend([far(5), far(6)]);
+        assert_eq!(first_of_each_topic(all), shown);
+        let plain: Vec<String> = (0..7).map(|k| format!("without a section {k}")).collect();
+        assert_eq!(first_of_each_topic(plain.clone()), plain);
     }
 }

@@ -12,7 +12,7 @@ use super::workspace::{Marker, Workspace};
 use super::{fingerprint, intermediate};
 use crate::ffi::memory;
 use crate::pipeline::{Options, PipelineError, Progress, Result, Stage};
-use crate::scene::{Frame, Warning};
+use crate::scene::{Frame, MAX_SHOWN, Topic, Warning};
 use crate::video::{Info, Source};
 
 /// The list of frames among the run's own files.
@@ -27,12 +27,27 @@ pub(in crate::pipeline) struct Outcome {
     pub(in crate::pipeline) figures: BTreeMap<String, Value>,
     /// Files and folders that the stage made, absolute.
     pub(in crate::pipeline) outputs: Vec<PathBuf>,
+    /// Warnings by topic.
+    num_warned: BTreeMap<Topic, usize>,
 }
 
 impl Outcome {
+    /// Shows the first few warnings on a topic, and keeps all.
     pub(in crate::pipeline) fn warn(&mut self, warning: Warning) {
-        tracing::warn!("{warning}");
+        let num = self.num_warned.entry(warning.topic).or_default();
+        *num += 1;
+        if *num <= MAX_SHOWN {
+            tracing::warn!("{warning}");
+        }
         self.note(warning);
+    }
+
+    /// Says how many warnings were not shown.
+    fn say_what_is_not_shown(&self) {
+        for (topic, num) in self.num_warned.iter().filter(|(_, num)| **num > MAX_SHOWN) {
+            let warning = topic.not_shown(num - MAX_SHOWN);
+            tracing::warn!("{warning}");
+        }
     }
 
     /// As [`Outcome::warn`], of what is no fault.
@@ -176,8 +191,9 @@ impl<'a> Run<'a> {
         let mut outcome = Outcome::default();
         let done = run_stage(self, &fingerprint, &mut outcome);
         self.progress.end();
+        outcome.say_what_is_not_shown();
         done?;
-        let Outcome { warnings, figures, outputs } = outcome;
+        let Outcome { warnings, figures, outputs, .. } = outcome;
         let cost = meter.read();
         memory::give_back();
         // A folder into which a stage puts no file is not there: nothing of the result depends on it.

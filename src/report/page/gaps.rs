@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use crate::report::data::{Data, Missing, Model, Object};
 use crate::report::words::{count, plain};
-use crate::scene::{ObjectId, Verdict, warning_text};
+use crate::scene::{ObjectId, Verdict, first_of_each_topic, warning_text};
 
 /// Text where a stage left no reason.
 pub(super) const NO_REASON: &str = "no reason recorded";
@@ -87,7 +87,8 @@ pub(super) fn warnings(data: &Data, names: &[String], missing: &[Missing]) -> Ve
     let is_new =
         |warning: &&String| !said.iter().any(|reason| !reason.is_empty() && warning_text(warning).ends_with(reason));
     let ids: Vec<(ObjectId, &String)> = data.objects.iter().map(|o| o.id).zip(names).collect();
-    data.warnings.iter().filter(is_new).map(|warning| plain(&named(warning, &ids))).collect()
+    let new = data.warnings.iter().filter(is_new).cloned().collect();
+    first_of_each_topic(new).iter().map(|warning| plain(&named(warning, &ids))).collect()
 }
 
 /// A warning in which "object 2" is called what it is called everywhere on the page.

@@ -111,22 +111,12 @@ fn leave_out(
     sighted: &BTreeMap<ObjectId, MaskEvidence>,
     outcome: &mut Outcome,
 ) {
-    let mut skipped = Vec::new();
     for object in objects {
         let Some((summary, sighted)) = summaries.get(&object.id).zip(sighted.get(&object.id)) else { continue };
         if let Err(reason) = support(summary, sighted) {
-            skipped.push((object.id, reason.to_string()));
+            outcome.warn(Topic::VehicleSkipped.warning(format!("object {}: skipped: {reason}", object.id)));
             object.left_out = Some(reason.to_string());
         }
-    }
-    // More warnings than that nobody reads; `tracks.json` has all reasons.
-    let (shown, more) = skipped.split_at(skipped.len().min(5));
-    for (id, reason) in shown {
-        outcome.warn(Topic::VehicleSkipped.warning(format!("object {id}: skipped: {reason}")));
-    }
-    if !more.is_empty() {
-        let text = format!("{} more objects skipped; reasons: left_out in tracks.json", more.len());
-        outcome.warn(Topic::VehicleSkipped.warning(text));
     }
 }
 
