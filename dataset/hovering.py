@@ -6,7 +6,9 @@ kind by a seed. ``compare`` states the errors of a run's positions, those of par
 the image to four and more points of the map with frames registered to the first one, at the middles of the same masks
 (geo-trax's way).
 ``recall`` states in how many frames a run has masks of the driven vehicles. ``plane`` states the error of the ground's
-normal, of each of its sources, and of the focal length.
+normal, of each of its sources, and of the focal length. ``sizes`` states the errors of lengths, widths and axes by
+ground tracks, and of meters. ``relief`` states how much larger the driven vehicle looks on the ground than on one
+plane, and how much its masks vary.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from tractrix_dataset.mesh import read_ply
+from tractrix_dataset.vehicles.heavy import FLEET
 
 LATITUDE, LONGITUDE = 48.1, 9.2
 # Metres per radian of latitude and longitude there (WGS 84).
@@ -33,6 +37,8 @@ PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
 MIDDLE_M = 0.7
 # Distance within which positions are those of a true vehicle, metres; of a parked car half of the 5.5 m between bays.
 NEAR_M, NEAR_PARKED_M = 8.0, 2.7
+# Fewest pixels of a mask whose size counts.
+MIN_AREA = 40
 
 
 @dataclass
@@ -314,6 +320,86 @@ def plane(sequence: Path, run: Path) -> None:
         print(f"  {source['source']}: pitch and tilt {', '.join(offs)}")
 
 
+def sizes(sequence: Path, run: Path) -> None:
+    """Prints the errors of sizes and axes by ground tracks, and of the distances in meters."""
+    truth = Truth.read(sequence)
+    content = json.loads((run / "trajectories.json").read_text())
+    scale = (content.get("metric") or {}).get("scale")
+    if scale is None:
+        raise SystemExit(f"{run}: no meters")
+    poses, parked = images(run), truth.scene.get("parked", [])
+    at_rest = np.array([car["position"] for car in parked]).reshape(-1, 3)
+    shares = []
+    for track in content["ground_tracks"]:
+        places, names = [], {name: [] for name in truth.vehicles}
+        for f in track["frames"]:
+            camera = truth.cameras[f["frame"]]
+            ray = _in_world(truth, f, poses[f["name"]], scale) - camera[:3, 3]
+            on_plane = ((truth.point - camera[:3, 3]) @ truth.normal) / (ray @ truth.normal)
+            shares.append(1 / on_plane)
+            places.append(camera[:3, 3] + on_plane * ray)
+            for name, positions in names.items():
+                positions.append(np.linalg.norm(places[-1] - truth.vehicles[name][f["frame"]][:3, 3]))
+        name = min(names, key=lambda name: float(np.median(names[name])))
+        distance = float(np.median(names[name]))
+        spec = FLEET[name.split()[0]]
+        size, heading = [spec.length, spec.width, spec.height], None
+        if len(parked):
+            to_parked = np.linalg.norm(at_rest - np.mean(places, axis=0), axis=1)
+            car = int(np.argmin(to_parked))
+            if to_parked[car] < min(distance, NEAR_PARKED_M):
+                name, distance = f"parked {parked[car]['model']}", float(to_parked[car])
+                size, heading = parked[car]["size_m"], parked[car]["heading_rad"]
+        if distance > NEAR_PARKED_M:
+            continue
+        words = []
+        for key, true in zip(("length_m", "width_m", "height_m"), size, strict=True):
+            found = (track.get("dimensions") or {}).get(key)
+            words.append(f"{found['value'] - true:+.2f} ± {found['std']:.2f} of {true:.2f} m" if found else "–")
+        axis = track.get("axis_deg")
+        if axis is not None and heading is not None and content["metric"]["origin"] is not None:
+            off = (axis["value"] - 90 + np.degrees(heading) + 90) % 180 - 90
+            words.append(f"axis {off:+.1f} ± {axis['std']:.1f}°")
+        print(f"ground track {track['id']} = {name}: {', '.join(words)}")
+    std = content["metric"]["std"]["scale"] / scale
+    print(f"distances over the true ones: {float(np.median(shares)):.3f} ± {std:.3f}")
+
+
+def relief(sequence: Path, run: Path) -> None:
+    """Prints how much the ground's shape shows in the size of the driven vehicle, and how much masks vary."""
+    truth = Truth.read(sequence)
+    corners = read_ply(sequence / "object_mesh.ply")[0]
+    poses = truth.vehicles[truth.scene["vehicle"]]
+    places = poses[:, :3, 3]
+    along = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(places[:, :2], axis=0), axis=1))])
+    first = along <= along[-1] / 3
+    rise = places[:, 2] - np.polyval(np.polyfit(along[first], places[first, 2], 1), along)
+    shown, varies, by_run = [], [], []
+    for k, camera in enumerate(truth.cameras):
+        mask = cv2.imread(str(sequence / truth.scene["frames"][k]["mask"]), cv2.IMREAD_GRAYSCALE) == 1
+        if mask[[0, -1]].any() or mask[:, [0, -1]].any() or mask.sum() < MIN_AREA:
+            continue
+        found = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) > 0 for path in run.glob(f"tracks/*/{k:06d}.*png")]
+        best = max(found, key=lambda found: int((found & mask).sum()), default=np.zeros_like(mask))
+        seen = (corners @ poses[k][:3, :3].T + poses[k][:3, 3] - camera[:3, 3]) @ camera[:3, :3]
+        pixels = seen @ np.array(truth.scene["K"]).T
+        hull = cv2.contourArea(cv2.convexHull((pixels[:, :2] / pixels[:, 2:]).astype(np.float32)))
+        varies.append(0.5 * np.log(_hull_area(mask) / hull))
+        if (best & mask).any():
+            by_run.append(0.5 * np.log(_hull_area(best) / hull))
+        shown.append(np.log1p(rise[k] / (camera[2, 3] - places[k, 2])))
+    print(
+        f"{truth.scene['vehicle']}: rises by {rise.max():.2f} m over {along[-1]:.0f} m, which shows as "
+        f"{100 * max(shown):+.1f} % of its size; true masks vary by {100 * float(np.std(varies)):.1f} %, those of the "
+        f"run by {100 * float(np.std(by_run)):.1f} % (1σ)"
+    )
+
+
+def _hull_area(mask: np.ndarray) -> float:
+    contours = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    return cv2.contourArea(cv2.convexHull(max(contours, key=cv2.contourArea)))
+
+
 def _state(what: str, errors: np.ndarray, stds: list[list[float]]) -> None:
     size = np.linalg.norm(errors, axis=1)
     own = np.linalg.norm(errors - errors.mean(0), axis=1).mean()
@@ -383,8 +469,18 @@ def main() -> None:
     normal = commands.add_parser("plane", help="errors of the ground's normal and of the focal length")
     normal.add_argument("sequence", type=Path)
     normal.add_argument("run", type=Path)
+    bodies = commands.add_parser("sizes", help="errors of lengths, widths and axes of ground tracks, and of meters")
+    bodies.add_argument("sequence", type=Path)
+    bodies.add_argument("run", type=Path)
+    ground = commands.add_parser("relief", help="what the ground's shape changes of the driven vehicle's size")
+    ground.add_argument("sequence", type=Path)
+    ground.add_argument("run", type=Path)
     arguments = parser.parse_args()
-    if arguments.command == "recall":
+    if arguments.command == "sizes":
+        sizes(arguments.sequence, arguments.run)
+    elif arguments.command == "relief":
+        relief(arguments.sequence, arguments.run)
+    elif arguments.command == "recall":
         recall(arguments.sequence, arguments.run)
     elif arguments.command == "plane":
         plane(arguments.sequence, arguments.run)

@@ -16,7 +16,10 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
         // Writing to a string cannot fail.
         let _ = match trajectories.objects.iter().find(|trajectory| trajectory.id == id) {
             Some(found) => write!(text, "{}", placed(found, vehicle, summary.time_base)),
-            None => writeln!(text, "  {id}: {}, no trajectory: {}", class(&vehicle.class, vehicle), why_not(vehicle)),
+            None => {
+                let name = trajectories.class_of(id).unwrap_or(&vehicle.class);
+                writeln!(text, "  {id}: {}, no trajectory: {}", class(name, vehicle), why_not(vehicle))
+            }
         };
         text += &trajectories.ground_track(id).map(|track| on_ground(track, summary.time_base)).unwrap_or_default();
     }
@@ -54,6 +57,9 @@ fn on_ground(track: &GroundTrack, times: TimeBase) -> String {
     if let Some(travel) = in_words(&ground_track_facts(track, times)) {
         text += &format!("     on the ground: {travel}\n");
     }
+    if let Some(size) = track.dimensions.and_then(|size| in_brief(size, false)) {
+        text += &format!("     size: {size}\n");
+    }
     if let Some(omitted) = track.omissions() {
         text += &format!("     no contact with the ground in {omitted}\n");
     }
@@ -70,7 +76,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
     if let Some(travel) = in_words(&travel_facts(found, times)) {
         let _ = writeln!(text, "     {travel}");
     }
-    if let Some(size) = size(found) {
+    if let Some(size) = found.dimensions.and_then(|size| in_brief(size, found.is_ruled_out())) {
         let _ = writeln!(text, "     size: {size}");
     }
     for reason in doubts(found) {
@@ -125,10 +131,10 @@ fn class(name: &str, vehicle: &Vehicle) -> String {
 }
 
 /// Length, width and height, as far as they were seen.
-fn size(found: &ObjectTrajectory) -> Option<String> {
-    let Dimensions { length_m, width_m, height_m } = found.dimensions?;
+fn in_brief(Dimensions { length_m, width_m, height_m }: Dimensions, is_ruled_out: bool) -> Option<String> {
     let parts = [("long", length_m), ("wide", width_m), ("high", height_m)];
-    let said = parts.into_iter().filter_map(|(what, size)| Some(format!("{} {what}", estimate(found, size?, "m"))));
+    let said =
+        parts.into_iter().filter_map(|(what, size)| Some(format!("{} {what}", estimate(is_ruled_out, size?, "m"))));
     let said: Vec<String> = said.collect();
     (!said.is_empty()).then(|| said.join(", "))
 }

@@ -71,6 +71,7 @@ impl Facts {
             confidence: track.confidence,
             verdict: track.verdict.as_ref().map(|verdict| verdict.state.name()),
             doubt: track.verdict.as_ref().map(|verdict| verdict.says.clone()),
+            dimensions: track.dimensions.unwrap_or_default(),
             ..Self::along(&track.positions, track.travel, time_base)
         }
     }

@@ -156,12 +156,13 @@ pub(super) fn vehicle_properties(facts: &Facts) -> Map<String, Value> {
 /// Properties of a ground track: those of a vehicle that it has, and its method.
 fn ground_track_properties(results: &Results, track: &GroundTrack) -> Map<String, Value> {
     let mut all = vehicle_properties(&Facts::of_ground_track(track, results.time_base));
-    ["length_m", "width_m", "height_m", "doubt"].iter().for_each(|key| drop(all.remove(*key)));
+    all.remove("doubt");
     all.extend(properties(json!({
         "kind": GROUND_TRACK,
         "method": track.method.name(),
         "remark": track.verdict.as_ref().map(|verdict| &verdict.says),
         "reason": track.reason,
+        "axis_deg": track.axis_deg.map(|axis| axis.value),
     })));
     all
 }

@@ -50,8 +50,8 @@ const FACTS: [Fact; 27] = [
     ("height_std_m", |facts| std(facts.dimensions.height_m)),
 ];
 
-/// Those of the frames and of the travel, which ground tracks have, too.
-const TRAVEL: [Range<usize>; 2] = [5..8, 10..21];
+/// Those of the frames, the travel and the size, which ground tracks have, too.
+const TRAVEL: [Range<usize>; 2] = [5..8, 10..27];
 
 /// Columns of metric values.
 const METRIC: [MetricColumn; 23] = [
@@ -142,7 +142,8 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
 /// One row per ground track.
 pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), ExportError> {
     let own = ["vehicle", "class", "confidence", "method", "verdict", "remark", "reason", "distance_std", "omitted"];
-    let columns: Vec<&str> = own.into_iter().chain(travel_facts().map(|(name, _)| name)).collect();
+    let axis = ["axis_deg", "axis_std_deg"];
+    let columns: Vec<&str> = own.into_iter().chain(travel_facts().map(|(name, _)| name)).chain(axis).collect();
     let row = |track: &GroundTrack| {
         let facts = Facts::of_ground_track(track, results.time_base);
         let own = [
@@ -156,7 +157,8 @@ pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), Export
             exact(track.verdict.as_ref().map(|verdict| verdict.distance_std)),
             track.omissions().unwrap_or_default(),
         ];
-        own.into_iter().chain(travel_facts().map(|(_, cell)| cell(&facts))).collect()
+        let axis = [value(track.axis_deg), std(track.axis_deg)];
+        own.into_iter().chain(travel_facts().map(|(_, cell)| cell(&facts))).chain(axis).collect()
     };
     write_in(path, results.units, &columns, results.trajectories.ground_tracks.iter().map(row))
 }

@@ -5,7 +5,7 @@ use super::metres;
 use super::travel::{KM_H, estimate};
 use super::view::quantile;
 use super::words::figure;
-use crate::scene::{Dimensions, Estimate, FrameId, MetricPose, Motion, ObjectTrajectory, Position, TimeBase};
+use crate::scene::{Dimensions, Estimate, FrameId, MetricPose, Motion, Position, TimeBase};
 
 /// Its motion; without a rate a motion has no meaning.
 fn motion<'a>(data: &Data, metric: &'a MetricPose) -> Option<&'a Motion> {
@@ -43,26 +43,26 @@ pub(super) fn facts(data: &Data, object: &Object) -> Vec<Fact> {
     if distances.is_empty() {
         return facts;
     }
-    facts.extend(trajectory.and_then(|trajectory| Some(size(trajectory, trajectory.dimensions.as_ref()?))));
+    facts.extend(trajectory.and_then(|trajectory| Some(size(trajectory.dimensions?, trajectory.is_ruled_out()))));
     let range = [0.0, 1.0].map(|q| figure(quantile(&mut distances, q), 3));
     facts.push(Fact::new("distance to the camera", format!("{} to {} m", range[0], range[1])));
     facts
 }
 
-fn size(trajectory: &ObjectTrajectory, size: &Dimensions) -> Fact {
+pub(super) fn size(size: Dimensions, is_ruled_out: bool) -> Fact {
     let said = |name: &str, dimension: Option<Estimate>| match dimension {
-        Some(found) => format!("{name} {}", estimate(trajectory, found, "m")),
+        Some(found) => format!("{name} {}", estimate(is_ruled_out, found, "m")),
         None => format!("{name} not visible"),
     };
-    let Dimensions { length_m, width_m, height_m } = *size;
+    let Dimensions { length_m, width_m, height_m } = size;
     Fact::new("size", [said("length", length_m), said("width", width_m), said("height", height_m)].join(", "))
 }
 
 /// Length, width and height in a line of a table: `4.30 ± 0.21 × 1.80 ± 0.09 × – m`; `None` where none is known.
-pub(super) fn size_in_brief(trajectory: &ObjectTrajectory) -> Option<String> {
-    let Dimensions { length_m, width_m, height_m } = trajectory.dimensions?;
+pub(super) fn size_in_brief(size: Dimensions, is_ruled_out: bool) -> Option<String> {
+    let Dimensions { length_m, width_m, height_m } = size;
     let said = |dimension: Option<Estimate>| {
-        let said = dimension.map(|found| estimate(trajectory, found, "m"));
+        let said = dimension.map(|found| estimate(is_ruled_out, found, "m"));
         said.map_or("–".to_owned(), |said| said.trim_end_matches(" m").to_owned())
     };
     let sides = [length_m, width_m, height_m];
@@ -128,7 +128,7 @@ mod tests {
             value("size").starts_with("length 4.30 ± ") && value("size").ends_with("height not visible"),
             "{said:?}"
         );
-        let brief = size_in_brief(&world.trajectory).unwrap();
+        let brief = size_in_brief(world.trajectory.dimensions.unwrap(), false).unwrap();
         assert!(brief.starts_with("4.30 ± ") && brief.ends_with(" × – m"), "{brief}");
         assert!(value("distance to the camera").ends_with(" m"), "{said:?}");
         assert!(!readings(&data, &data.objects[0], Quantity::Heading).is_empty());

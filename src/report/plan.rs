@@ -6,7 +6,8 @@ use super::data::{Data, Object};
 use super::metres::{Ruler, frame as metric_frame};
 use super::overlay::{css_colour, object_colour, spread};
 use super::view::{View, quantile};
-use crate::scene::{GroundTrack, MetricAxes, ObjectId};
+use crate::math::median;
+use crate::scene::{Estimate, GroundTrack, MetricAxes, MetricFrame, ObjectId};
 use nalgebra::{Point3, Vector3};
 
 /// Units of a plan per unit of the view, where the plan shows the whole scene; `page.js` moves markers in them.
@@ -43,6 +44,8 @@ struct PlanPath {
     end: [f64; 2],
     /// Head of an arrow at the end, in the direction of travel.
     arrow: String,
+    /// Rectangle of a vehicle that does not move; empty of others.
+    footprint: String,
 }
 
 /// A bar of a round length.
@@ -58,6 +61,8 @@ struct Paper<'a> {
     view: &'a View,
     turn: Turn,
     ruler: Ruler,
+    /// Where metres are known.
+    frame: Option<&'a MetricFrame>,
     /// Position of the plan's origin, in the rotated view.
     origin: [f64; 2],
     zoom: f64,
@@ -132,14 +137,16 @@ impl Plan {
     /// One ground track alone; `None` without positions that can be drawn.
     pub fn ground_track(data: &Data, track: &GroundTrack, view: &View) -> Option<Self> {
         let paper = Paper::new(data, view);
-        let paper = paper.around(&paper.contacts(track));
-        Some(paper.alone(data, paper.ground_path(track, ARROW * PATH_SIDE)?, &paper.contacts(track)))
+        let all = |paper: &Paper| [paper.contacts(track), paper.footprint(track).unwrap_or_default()].concat();
+        let paper = paper.around(&all(&paper));
+        Some(paper.alone(data, paper.ground_path(track, ARROW * PATH_SIDE)?, &all(&paper)))
     }
 }
 
 impl<'a> Paper<'a> {
-    fn new(data: &Data, view: &'a View) -> Self {
-        Self { view, turn: Turn::of(data, view), ruler: Ruler::of(data.metric), origin: [0.0; 2], zoom: 1.0 }
+    fn new(data: &Data<'a>, view: &'a View) -> Self {
+        let frame = data.metric.and_then(metric_frame);
+        Self { view, turn: Turn::of(data, view), ruler: Ruler::of(data.metric), frame, origin: [0.0; 2], zoom: 1.0 }
     }
 
     fn place(&self, world: Point3<f64>) -> [f64; 2] {
@@ -168,7 +175,23 @@ impl<'a> Paper<'a> {
     }
 
     fn ground_path(&self, track: &GroundTrack, arrow: f64) -> Option<PlanPath> {
-        Some(PlanPath { ground: true, ..Self::line(track.id, &self.contacts(track), arrow)? })
+        let footprint = self.footprint(track).map(|corners| polyline(&corners) + "Z").unwrap_or_default();
+        Some(PlanPath { ground: true, footprint, ..Self::line(track.id, &self.contacts(track), arrow)? })
+    }
+
+    /// Corners of a vehicle at rest, around the median of its positions.
+    fn footprint(&self, track: &GroundTrack) -> Option<Vec<[f64; 2]>> {
+        let (frame, size) = (self.frame?, track.dimensions?);
+        let world_from_metric = frame.metric_from_world().inverse();
+        let (sin, cos) = track.axis_deg?.value.to_radians().sin_cos();
+        let half = |size: Option<Estimate>, [x, y]: [f64; 2]| {
+            Some(world_from_metric.rotation * Vector3::new(x, y, 0.0) * (0.5 * size?.value / frame.scale))
+        };
+        let (ahead, aside) = (half(size.length_m, [sin, cos])?, half(size.width_m, [cos, -sin])?);
+        let of = |k: usize| median(track.positions.iter().map(|at| at.position[k]).collect());
+        let middle = Point3::new(of(0)?, of(1)?, of(2)?);
+        let corners = [ahead + aside, ahead - aside, -ahead - aside, aside - ahead].map(|to| self.place(middle + to));
+        corners.iter().all(drawable).then(|| corners.to_vec())
     }
 
     fn positions(&self, object: &Object) -> Vec<[f64; 2]> {
@@ -193,6 +216,7 @@ impl<'a> Paper<'a> {
             start: start.map(tenth),
             end: end.map(tenth),
             arrow: arrow_head(positions, arrow),
+            footprint: String::new(),
         })
     }
 
@@ -277,8 +301,11 @@ fn tenth(v: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use super::*;
     use crate::report::testing;
+    use crate::scene::{ContactError, Dimensions, FrameId, GroundPosition, GroundTrackMethod};
 
     #[test]
     fn a_small_path_is_drawn_as_finely_as_a_large_one() {
@@ -295,6 +322,48 @@ mod tests {
         assert_eq!(*places[places.len() - 1], plan.paths[0].end, "and where it ends");
         assert!(places.windows(2).all(|w| w[0] != w[1]), "no two places fall together");
         assert!(plan.view_box[2] > PATH_SIDE && plan.view_box[2] < 3.0 * PATH_SIDE, "{:?}", plan.view_box);
+    }
+
+    #[test]
+    fn a_vehicle_at_rest_is_a_rectangle_of_its_size() {
+        let mut world = testing::World::in_metres();
+        let at = world.trajectory.poses[0].clone();
+        let position = |frame| GroundPosition {
+            frame,
+            name: at.name.clone(),
+            time_s: at.time_s,
+            position: at.position,
+            error: ContactError::default(),
+            metric: None,
+        };
+        let [length, width] = [4.0, 2.0].map(|value| Some(Estimate { value, std: 0.1 }));
+        world.ground_track = Some(GroundTrack {
+            id: world.trajectory.id,
+            class: "car".into(),
+            confidence: 0.9,
+            method: GroundTrackMethod::GroundContact,
+            reason: "no trajectory".into(),
+            verdict: None,
+            ground: BTreeMap::new(),
+            omitted: BTreeMap::new(),
+            apparent_size: [1.0; 2],
+            apparent_size_m: None,
+            dimensions: Some(Dimensions { length_m: length, width_m: width, height_m: None }),
+            axis_deg: Some(Estimate { value: 30.0, std: 3.0 }),
+            travel: None,
+            positions: [0, 1].map(|frame| position(FrameId(frame))).to_vec(),
+        });
+        let data = world.data();
+        let view = View::new(&data).unwrap();
+        let track = world.ground_track.as_ref().unwrap();
+        let corners = Paper::new(&data, &view).footprint(track).unwrap();
+        let side = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
+        let [wide, long] = [side(corners[0], corners[1]), side(corners[1], corners[2])];
+        assert!((long / wide - 2.0).abs() < 0.05, "{corners:?}");
+        let plan = Plan::ground_track(&data, track, &view).unwrap();
+        assert!(plan.paths[0].footprint.ends_with('Z') && plan.view_box[2] < 3.0 * PATH_SIDE, "{plan:?}");
+        let unknown = GroundTrack { axis_deg: None, ..track.clone() };
+        assert_eq!(Plan::ground_track(&data, &unknown, &view).unwrap().paths[0].footprint, "");
     }
 
     #[test]

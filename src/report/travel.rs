@@ -14,14 +14,14 @@ pub(super) const KM_H: f64 = 3.6;
 pub fn travel_facts(trajectory: &ObjectTrajectory, times: TimeBase) -> Vec<Fact> {
     let Some(travel) = &trajectory.travel else { return Vec::new() };
     let seconds = trajectory.poses.first().zip(trajectory.poses.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);
-    figures(travel, seconds, times, |of, unit| estimate(trajectory, of, unit))
+    figures(travel, seconds, times, |of, unit| estimate(trajectory.is_ruled_out(), of, unit))
 }
 
 /// The same of a ground track.
 pub fn ground_track_facts(track: &GroundTrack, times: TimeBase) -> Vec<Fact> {
     let Some(travel) = &track.travel else { return Vec::new() };
     let seconds = track.positions.first().zip(track.positions.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);
-    figures(travel, seconds, times, |Estimate { value, std }, unit| format!("{} {unit}", with_std(value, std)))
+    figures(travel, seconds, times, |of, unit| estimate(false, of, unit))
 }
 
 fn figures(travel: &Travel, seconds: f64, times: TimeBase, estimate: impl Fn(Estimate, &str) -> String) -> Vec<Fact> {
@@ -42,8 +42,8 @@ fn figures(travel: &Travel, seconds: f64, times: TimeBase, estimate: impl Fn(Est
 }
 
 /// `4.31 ± 0.12 m`; of a rejected trajectory `4.31 m`.
-pub fn estimate(trajectory: &ObjectTrajectory, Estimate { value, std }: Estimate, unit: &str) -> String {
-    let figures = if trajectory.is_ruled_out() { to_std(value, std) } else { with_std(value, std) };
+pub fn estimate(is_ruled_out: bool, Estimate { value, std }: Estimate, unit: &str) -> String {
+    let figures = if is_ruled_out { to_std(value, std) } else { with_std(value, std) };
     format!("{figures} {unit}")
 }
 

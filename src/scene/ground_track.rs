@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
+use super::{Dimensions, Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
 use crate::math::Sim3;
 use crate::math::rounding::counted;
 
@@ -169,6 +169,14 @@ pub struct GroundTrack {
     /// Apparent width and height, meters; `None` where meters are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub apparent_size_m: Option<[Estimate; 2]>,
+    /// Length, width and height by the outlines, meters; `None` where meters are unknown.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dimensions: Option<Dimensions>,
+    /// Direction along the length of a vehicle that does not move, degrees clockwise from north, 0 to 180, with its
+    /// standard deviation: front and rear are not distinguished. From the metric frame's second axis where north is not
+    /// known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub axis_deg: Option<Estimate>,
     /// Path length, displacement and speeds; `None` for fewer than four positions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub travel: Option<Travel>,

@@ -331,6 +331,12 @@ impl Trajectories {
         Self { unit: Unit::Background, metric: None, objects: Vec::new(), ground_tracks: Vec::new() }
     }
 
+    /// Class of a vehicle with a trajectory or a ground track; its size may have corrected that of the detector.
+    pub fn class_of(&self, id: ObjectId) -> Option<&str> {
+        let object = self.objects.iter().find(|object| object.id == id).map(|object| object.class.as_str());
+        object.or_else(|| self.ground_track(id).map(|track| track.class.as_str()))
+    }
+
     /// Ground track of a vehicle.
     pub fn ground_track(&self, id: ObjectId) -> Option<&GroundTrack> {
         self.ground_tracks.iter().find(|track| track.id == id)

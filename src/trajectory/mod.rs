@@ -61,7 +61,7 @@ pub use contact::{Contact, ContactOptions, Silhouette, contact};
 pub use error::ScaleError;
 pub use estimate::{Options, estimate_scale, ratios_of};
 pub use estimators::{Estimate, estimate};
-pub use extents::{Extents, Subject, extents};
+pub use extents::{BodyOnGround, Extents, Subject, extents};
 pub use ground_constrained_poses::ground_constrained_poses;
 pub use ground_track::{ContactEvidence, Contacts, FocalError, Outlines, contacts, ground_track, outline_pixels};
 pub use heading::{forward_axis, headings};

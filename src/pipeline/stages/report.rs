@@ -186,7 +186,7 @@ fn objects<'a>(
         Object {
             id: tracked.id,
             // The size of a vehicle may correct its class.
-            class: trajectory.map_or(&tracked.class, |trajectory| &trajectory.class).clone(),
+            class: trajectories.class_of(tracked.id).unwrap_or(&tracked.class).to_owned(),
             confidence: tracked.confidence,
             tracked: Some(tracked),
             visible: tracked.frames.clone(),

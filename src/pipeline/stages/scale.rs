@@ -24,8 +24,8 @@ use crate::scene::{
     Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
-    self, Adjustment, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription, Outlines,
-    PlacedObject, Silhouette, Subject, extents,
+    self, Adjustment, BodyOnGround, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription,
+    Outlines, PlacedObject, Silhouette, Subject, extents,
 };
 use ground_tracks::Followed;
 use movement::TrajectoryEvidence;
@@ -79,7 +79,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
         failures: &found.failures,
         followed: found.followed,
     };
-    let ground_tracks = ground_tracks::find(&scene, placed, outcome)?;
+    let ground_tracks = ground_tracks::find(&scene, placed, &mut found.results.bodies, outcome)?;
     let mut all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
@@ -131,6 +131,8 @@ struct ScaleContext {
 #[derive(Default, Serialize, Deserialize)]
 pub(in crate::pipeline) struct ScaleResults {
     pub(in crate::pipeline) sizes: BTreeMap<ObjectId, Size>,
+    /// Of the vehicles with a ground track.
+    pub(in crate::pipeline) bodies: BTreeMap<ObjectId, BodyOnGround>,
     pub(in crate::pipeline) pose_covariances: PoseCovariances,
 }
 

@@ -73,7 +73,7 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
         is_on_ground,
         trust: trust(verdict, object),
         order: order(verdict, object),
-        size: object.trajectory.and_then(motion::size_in_brief),
+        size: size_in_brief(object),
         meaning: verdict.sentence(object.trajectory),
         reason: reason(object).map(|reason| plain(&reason)),
         against: judged(object).flat_map(Verdict::complaints).map(said).collect(),
@@ -90,6 +90,16 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
             }
         }),
     }
+}
+
+/// Size of a vehicle by its ground track, where that is the answer, or by its trajectory.
+fn size_in_brief(object: &Object) -> Option<String> {
+    let of_trajectory = || object.trajectory.map(|trajectory| (trajectory.dimensions, trajectory.is_ruled_out()));
+    let (size, is_ruled_out) = match object.answering_track() {
+        Some(track) => (track.dimensions, false),
+        None => of_trajectory()?,
+    };
+    motion::size_in_brief(size?, is_ruled_out)
 }
 
 fn trust(verdict: verdict::Verdict, object: &Object) -> usize {
@@ -116,10 +126,12 @@ fn ground_facts(object: &Object, track: &GroundTrack, timeline: &Timeline) -> Ve
         Some(omitted) => frames.with_note(omitted),
         None => frames,
     };
-    let size = track.apparent_size_m.map(|[width, height]| {
+    let apparent = || {
+        let [width, height] = track.apparent_size_m?;
         let said = format!("{} × {} m", with_std(width.value, width.std), with_std(height.value, height.std));
-        Fact::new("apparent width and height", said)
-    });
+        Some(Fact::new("apparent width and height", said))
+    };
+    let size = track.dimensions.map(|size| motion::size(size, false)).or_else(apparent);
     [frames].into_iter().chain(ground_track_facts(track, timeline.base)).chain(size).collect()
 }
 

@@ -13,12 +13,41 @@ pub(super) const NUM: usize = 7;
 pub(super) type Unknowns = SVector<f64, NUM>;
 
 /// Where the search starts and how far it may go from there: a standard deviation for every unknown.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Expected {
     pub(super) value: Unknowns,
     pub(super) std: Unknowns,
-    /// Extents of points forwards, backwards, to the left and to the right.
-    pub(super) reaches: [Reach; 4],
+    /// Extents of points forwards, backwards, to the left and to the right; none where there are no points.
+    pub(super) reaches: Vec<Reach>,
+    /// Usual proportions, for vehicles of unknown size.
+    pub(super) proportions: Vec<Proportion>,
+}
+
+impl Expected {
+    /// Residuals besides those of the outlines and of `value`, with their gradients.
+    fn rows(&self, value: &Unknowns) -> impl Iterator<Item = (f64, Unknowns)> {
+        let reaches = self.reaches.iter().map(|reach| reach.residual(value));
+        reaches.chain(self.proportions.iter().map(|proportion| proportion.residual(value)))
+    }
+}
+
+/// Logarithm of one dimension over another.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Proportion {
+    /// Which of length (0), width (1) and height (2), over which.
+    pub(super) of: [usize; 2],
+    pub(super) log: f64,
+    /// Standard deviation of that.
+    pub(super) std: f64,
+}
+
+impl Proportion {
+    fn residual(&self, value: &Unknowns) -> (f64, Unknowns) {
+        let [of, over] = self.of;
+        let mut gradient = Unknowns::zeros();
+        (gradient[of], gradient[over]) = (self.std.recip(), -self.std.recip());
+        ((value[of] - value[over] - self.log) / self.std, gradient)
+    }
 }
 
 /// Extent of points in a direction along the ground.
@@ -60,6 +89,8 @@ pub(super) struct Fit {
     pub(super) covariance: SMatrix<f64, NUM, NUM>,
     /// Robust mean of the squared residuals, in deviations².
     pub(super) misfit: f64,
+    /// Sum of all squared residuals and of those of what was expected.
+    pub(super) cost: f64,
 }
 
 /// Residuals beyond this many deviations lose weight.
@@ -94,8 +125,8 @@ fn cauchy(residual: f64) -> f64 {
 
 fn cost(residuals: &[f64], value: &Unknowns, expected: &Expected, weight: f64) -> f64 {
     let lines: f64 = residuals.iter().map(|r| CAUCHY * CAUCHY * (r / CAUCHY).powi(2).ln_1p()).sum();
-    let reaches: f64 = expected.reaches.iter().map(|reach| reach.residual(value).0.powi(2)).sum();
-    weight * lines + reaches + (value - expected.value).component_div(&expected.std).norm_squared()
+    let others: f64 = expected.rows(value).map(|(residual, _)| residual.powi(2)).sum();
+    weight * lines + others + (value - expected.value).component_div(&expected.std).norm_squared()
 }
 
 /// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it
@@ -131,7 +162,7 @@ pub(super) fn fit(template: &Template, sights: &[OutlineView], expected: &Expect
         }
     }
     let misfit = residual.iter().map(|r| cauchy(*r) * r * r).sum::<f64>() / residual.len().max(1) as f64;
-    Some(Fit { value, covariance: normal.try_inverse()?, misfit })
+    Some(Fit { value, covariance: normal.try_inverse()?, misfit, cost: now })
 }
 
 type Linear = (SMatrix<f64, NUM, NUM>, Unknowns);
@@ -157,7 +188,7 @@ fn linearised(
     let prior = expected.std.map(|std| (std * std).recip());
     let mut matrix = SMatrix::<f64, NUM, NUM>::from_diagonal(&prior);
     let mut gradient = (value - expected.value).component_mul(&prior);
-    for (r, jacobian) in expected.reaches.iter().map(|reach| reach.residual(value)) {
+    for (r, jacobian) in expected.rows(value) {
         matrix += jacobian * jacobian.transpose();
         gradient += jacobian * r;
     }

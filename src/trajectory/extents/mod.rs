@@ -9,6 +9,7 @@
 //! What was not seen has no extent: the length of a vehicle seen from behind.
 
 mod fit;
+mod on_ground;
 mod outline;
 mod template;
 
@@ -20,6 +21,8 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix3, Point3, Rotation3, SMatrix, Unit, UnitQuaternion, Vector3};
 
 use self::fit::{Expected, Fit, NUM, Reach, Unknowns};
+pub use self::on_ground::BodyOnGround;
+pub(super) use self::on_ground::Stand;
 use self::outline::OutlineView;
 use self::template::Template;
 use super::contact::solid_points;
@@ -224,7 +227,8 @@ impl Start {
             // On real cars the highest points are 15 to 25 % below the roof (glass, roofs without texture), on rendered
             // ones hardly any.
             std: Unknowns::from([0.5, 0.4, 0.15, 0.5 * length, 0.5 * width, yaw, 0.015 * height]),
-            reaches: [reach(0), reach(1), reach(2), reach(3)],
+            reaches: (0..4).map(reach).collect(),
+            proportions: Vec::new(),
         }
     }
 
@@ -363,9 +367,15 @@ impl Logs {
 
     /// In units of the background; `None` where it is not sure enough to have been seen.
     fn estimate(&self, k: usize, ratio: f64, scale_std: f64) -> Option<Estimate> {
-        let value = ratio * self.value[k].exp();
-        let std = value * self.std[k].hypot(scale_std);
-        (self.std[k] < 0.1 && value.is_finite() && std.is_finite()).then_some(Estimate { value, std })
+        let Estimate { value, std } = self.within(k, 0.1)?;
+        let (value, std) = (ratio * value, ratio * std.hypot(value * scale_std));
+        (value.is_finite() && std.is_finite()).then_some(Estimate { value, std })
+    }
+
+    /// In units of the object; `None` where its relative standard deviation exceeds a limit.
+    fn within(&self, k: usize, limit: f64) -> Option<Estimate> {
+        let value = self.value[k].exp();
+        (self.std[k] < limit).then_some(Estimate { value, std: value * self.std[k] })
     }
 
     /// Without a direction in which the object points: the longer side is its length where one clearly is.

@@ -2,6 +2,7 @@
 
 use nalgebra::{Point3, Vector2, Vector3};
 
+use crate::camera::Camera;
 use crate::math::{Rigid3, quantile};
 use crate::scene::{Image, Reconstruction};
 use crate::trajectory::Silhouette;
@@ -41,6 +42,16 @@ impl OutlineView {
     ) -> Option<Self> {
         let camera = object.projecting_camera(image)?;
         let cam_from_vehicle = image.cam_from_world * vehicle_from_object.inverse();
+        Self::in_camera(camera, cam_from_vehicle, outline, points_in_vehicle)
+    }
+
+    /// The same of a camera and its pose; without points nothing is left out.
+    pub(super) fn in_camera(
+        camera: &Camera,
+        cam_from_vehicle: Rigid3,
+        outline: &Silhouette,
+        points_in_vehicle: &[Point3<f64>],
+    ) -> Option<Self> {
         let hull: Vec<Vector2<f64>> = outline.hull.iter().map(|pixel| camera.normalized_from_pixel(*pixel)).collect();
         let border = Silhouette::BORDER_PX / camera.mean_focal();
         let inside: Vec<Vector2<f64>> = points_in_vehicle.iter().filter_map(|p| seen(&cam_from_vehicle, p)).collect();
@@ -53,7 +64,8 @@ impl OutlineView {
             let support = support(&hull, &normal) + border;
             // By how many of these deviations points of the vehicle may lie outside of an outline before the vehicle
             // counts as hidden there.
-            (reach(&inside, &normal)? <= support + 2.0 * std).then_some(Touch { normal, support })
+            let is_hidden = reach(&inside, &normal).is_some_and(|reach| reach > support + 2.0 * std);
+            (!is_hidden).then_some(Touch { normal, support })
         });
         let touches: Vec<Touch> = touches.collect();
         (touches.iter().all(|touch| touch.support.is_finite()) && std.is_finite()).then_some(Self {

@@ -23,7 +23,8 @@ use std::collections::BTreeMap;
 use nalgebra::{Point2, Vector3};
 
 use self::contact_point::ContactPoint;
-use super::{ObjectDescription, Silhouette};
+use super::extents::{BodyOnGround, Stand};
+use super::{Body, ObjectDescription, Silhouette};
 use crate::math::median;
 use crate::scene::{
     Frame, FrameId, GroundPlane, GroundPosition, GroundTrack, GroundTrackMethod, Image, NoContact, ObjectId,
@@ -104,7 +105,7 @@ pub fn contacts(id: ObjectId, evidence: &ContactEvidence) -> Contacts {
     contacts
 }
 
-/// The track of a vehicle on the ground, in units of the background, without verdict and meters.
+/// The track of a vehicle on the ground, in units of the background, without verdict and meters, and its body.
 ///
 /// * `reason` – why its 3D model cannot be used.
 ///
@@ -114,9 +115,11 @@ pub fn ground_track(
     description: ObjectDescription,
     evidence: &ContactEvidence,
     reason: String,
-) -> Result<GroundTrack, String> {
+) -> Result<(GroundTrack, Option<BodyOnGround>), String> {
     let ObjectDescription { id, class, confidence } = description;
-    let Contacts { positions, ground, omitted, apparent_sizes } = contacts(id, evidence);
+    let found = contacts(id, evidence);
+    let body = BodyOnGround::of(&evidence.stands(id, &found), Body::of_class(&class));
+    let Contacts { positions, ground, omitted, apparent_sizes } = found;
     let track = GroundTrack {
         id,
         class,
@@ -128,6 +131,8 @@ pub fn ground_track(
         omitted,
         apparent_size: apparent_sizes.map(|all| median(all).unwrap_or_default()),
         apparent_size_m: None,
+        dimensions: None,
+        axis_deg: None,
         travel: None,
         positions,
     };
@@ -136,10 +141,27 @@ pub fn ground_track(
         let others = track.omissions().map(|said| format!(" ({said})")).unwrap_or_default();
         return Err(format!("contact with the ground in {found} frames only, at least {MIN_POSITIONS} needed{others}"));
     }
-    Ok(track)
+    Ok((track, body))
 }
 
 impl ContactEvidence<'_> {
+    /// The frames with a contact point.
+    fn stands(&self, id: ObjectId, found: &Contacts) -> Vec<Stand<'_>> {
+        let sizes = found.apparent_sizes[0].iter().zip(&found.apparent_sizes[1]);
+        let stand = |(at, (width, height)): (&GroundPosition, (&f64, &f64))| {
+            let image = self.background.images.get(&at.frame.into())?;
+            Some(Stand {
+                camera: self.background.camera_of(image),
+                cam_from_world: &image.cam_from_world,
+                ground: self.planes.get(&at.frame)?,
+                position: at.position.into(),
+                outline: self.outlines.get(&id)?.get(&at.frame)?,
+                apparent_size: width.max(*height),
+            })
+        };
+        found.positions.iter().zip(sizes).filter_map(stand).collect()
+    }
+
     /// The contact point in one frame, and the plane on which it is.
     fn contact(
         &self,

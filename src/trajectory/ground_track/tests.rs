@@ -37,7 +37,7 @@ fn track(world: &Drive, planes: &BTreeMap<FrameId, GroundPlane>, outlines: &Outl
         frames: &frames,
         focal: FocalError::default(),
     };
-    ground_track(description(), &evidence, "too small".into())
+    ground_track(description(), &evidence, "too small".into()).map(|(track, _)| track)
 }
 
 fn normal(rng: &mut Rng) -> f64 {

@@ -1,18 +1,21 @@
 //! Ground tracks in metres and on the map, with the verdict on each.
 
+use std::collections::BTreeMap;
 use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use super::placed::{Placing, in_units, metric_of, span};
+use super::vehicles::Size;
 use crate::math::rounding::percent;
 use crate::math::{median, quantile};
 use crate::metric::ObservedPoint;
 use crate::pipeline::driver::run::Outcome;
 use crate::scene::{
-    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, Motion, Movement, TimeBase, Topic,
+    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, Motion, Movement, ObjectId, TimeBase,
+    Topic,
 };
-use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
+use crate::trajectory::{BodyOnGround, CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 
 /// Standard deviation of the distance up to which a track is usable, as a share: that of a scale ratio beyond which a
 /// trajectory is doubtful.
@@ -46,12 +49,14 @@ pub(super) enum Scale {
 pub(super) fn fill(
     placing: &Placing,
     tracks: Vec<GroundTrack>,
+    bodies: &BTreeMap<ObjectId, BodyOnGround>,
     scale: Scale,
     outcome: &mut Outcome,
 ) -> Vec<GroundTrack> {
     let mut kept = Vec::new();
     for mut track in tracks {
-        placing.fill_ground(&mut track, scale);
+        let body = bodies.get(&track.id).copied().unwrap_or_default();
+        placing.fill_ground(&mut track, body, scale);
         let dip_sine = placing.dip_sine(&track);
         let of_size = |size: &[Estimate; 2]| impossible_size(size, dip_sine);
         match track.apparent_size_m.as_ref().and_then(of_size).or_else(|| off_the_ground(&track)) {
@@ -85,7 +90,7 @@ fn off_the_ground(track: &GroundTrack) -> Option<String> {
 
 impl Placing<'_> {
     /// Fills in what follows from the frame, and enlarges the errors where the positions contradict them.
-    fn fill_ground(&self, track: &mut GroundTrack, scale: Scale) {
+    fn fill_ground(&self, track: &mut GroundTrack, body: BodyOnGround, scale: Scale) {
         let common = CommonStd { ratio: 0.0, scale: self.frame.log_scale_std() };
         let measured = self.contacts(track);
         let worst = smooth(&measured, &common, Movement::Undetermined).map(|found| worst_deviation(&measured, &found));
@@ -103,7 +108,13 @@ impl Placing<'_> {
         }
         let measured = self.contacts(track);
         let found = smooth(&measured, &common, Movement::Undetermined);
-        track.verdict = Some(verdict(distance_std, worst));
+        let verdict = verdict(distance_std, worst);
+        // Where positions jump, the mask is not that of one vehicle.
+        if scale == Scale::Known && verdict.state != GroundTrackTrust::Inconsistent {
+            track.dimensions = Some(Size::of_body(&body, distance_std).in_metres(self.frame));
+            track.axis_deg = body.axis.map(|axis| self.axis_deg(axis));
+        }
+        track.verdict = Some(verdict);
         let Some(found) = found else { return };
         let travel = self.travel(span(&track.positions, |position| position.time_s), &found);
         track.travel = Some(if scale == Scale::Known { travel } else { in_units(travel) });
@@ -111,6 +122,12 @@ impl Placing<'_> {
             let placed = track.positions.iter_mut().filter_map(|position| position.metric.as_mut());
             placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));
         }
+    }
+
+    /// Direction of a level unit vector of the background, degrees clockwise from the frame's second axis, 0 to 180.
+    fn axis_deg(&self, (axis, std): ([f64; 3], f64)) -> Estimate {
+        let axis = self.frame.metric_from_world().rotation * Vector3::from(axis);
+        Estimate { value: axis.x.atan2(axis.y).to_degrees().rem_euclid(180.0), std: std.to_degrees() }
     }
 
     /// Sine of the angle of the lines of sight below the horizon, median.

@@ -28,6 +28,7 @@ use crate::scene::{
     FrameId, GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic,
     Trajectories, sources_in_words,
 };
+use crate::trajectory::BodyOnGround;
 pub use dates::of_log as dates_of_log;
 use ground_tracks::Scale;
 use placed::Placing;
@@ -65,16 +66,17 @@ pub(in crate::pipeline) fn check(options: &Options) -> Result<()> {
 pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let background = run.workspace.read_background()?;
     let trajectories = scale::in_units(run)?;
-    let ScaleResults { sizes, pose_covariances } = scale::results(run)?;
+    let ScaleResults { sizes, bodies, pose_covariances } = scale::results(run)?;
     let found = match background.is_empty() {
         true => MetricResult::unknown("no background"),
-        false => find(run, &background, &trajectories, &sizes, outcome)?,
+        false => find(run, &background, &trajectories, &sizes, &bodies, outcome)?,
     };
     describe(&found.metric, outcome);
     let Trajectories { unit, mut objects, mut ground_tracks, .. } = trajectories;
     vehicles::correct_classes(&mut objects, &sizes, found.known);
     vehicles::doubt_sizes(&mut objects, &sizes, found.known, outcome);
     ground_tracks = scale::ground_tracks::decided(ground_tracks, &objects);
+    vehicles::correct_classes_on_ground(&mut ground_tracks, &mut objects, &bodies, found.known, &background);
     let is_placed = !objects.is_empty() || !ground_tracks.is_empty();
     let nominal = match found.metric.frame {
         None if is_placed => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects, &ground_tracks)),
@@ -94,7 +96,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
             }
         }
         let scale = if nominal.is_some() { Scale::Nominal } else { Scale::Known };
-        ground_tracks = ground_tracks::fill(&placing, ground_tracks, scale, outcome);
+        ground_tracks = ground_tracks::fill(&placing, ground_tracks, &bodies, scale, outcome);
     }
     outcome.figure("num_ground_tracks", ground_tracks.len());
     let all = Trajectories { unit, metric: Some(found.metric), objects, ground_tracks };
@@ -124,6 +126,7 @@ fn find(
     background: &Reconstruction,
     trajectories: &Trajectories,
     sizes: &BTreeMap<ObjectId, Size>,
+    bodies: &BTreeMap<ObjectId, BodyOnGround>,
     outcome: &mut Outcome,
 ) -> Result<MetricResult> {
     let mut ground = Ground::of(run, background)?;
@@ -146,9 +149,14 @@ fn find(
     let dates = dates::find(run, telemetry.as_ref(), aligned.as_ref());
     let mut sources: Vec<Source> = aligned.iter().filter_map(|aligned| aligned.source.clone()).chain(height).collect();
     sources.extend(sources::measured(run, &ground, outcome));
-    sources.extend(vehicles::known(run, sizes, outcome));
+    let of_all = vehicles::sizes_of_all(trajectories, sizes, bodies, background);
+    sources.extend(vehicles::known(run, &of_all, outcome));
     let known = fuse(&sources).map(|fused| (fused.scale.ln(), fused.std / fused.scale));
-    let alike = vehicles::alike(trajectories, sizes);
+    let mut alike = vehicles::alike(trajectories, sizes);
+    // Where the camera translates, vehicles without a usable trajectory are far, hidden or in part outside the image.
+    if background.points.is_empty() {
+        alike = alike.or_if_surer(vehicles::alike_on_ground(&trajectories.ground_tracks, bodies, background));
+    }
     alike.warn(outcome);
     sources.extend(alike.source.clone());
     let Some(fused) = fuse(&sources) else {

@@ -2,8 +2,10 @@
 
 use std::collections::BTreeMap;
 
+use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
 
+use crate::math::median;
 use crate::math::rounding::significant;
 use crate::metric::{
     Dimension, Extent, Kind, KnownLength, Measured, OddVehicle, Oddity, Source, VehicleClass, VehicleSizes,
@@ -11,10 +13,10 @@ use crate::metric::{
 };
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{
-    Dimensions, Estimate, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory, Reason, ReasonKind,
-    ScaleEstimate, ScaleShares, Topic, Trajectories, Trust,
+    Dimensions, Estimate, GroundPosition, GroundTrack, MetricContradiction, MetricFrame, ObjectId, ObjectTrajectory,
+    Reason, ReasonKind, Reconstruction, ScaleEstimate, ScaleShares, Topic, Trajectories, Trust,
 };
-use crate::trajectory::with_reason;
+use crate::trajectory::{BodyOnGround, with_reason};
 
 /// Size of an object, in units of the background; `None` for a dimension that was never visible.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -34,6 +36,15 @@ impl Size {
             Dimension::Width => self.width,
             Dimension::Height => self.height,
         }
+    }
+
+    /// Of a vehicle on the ground.
+    ///
+    /// * `distance_std` – standard deviation of its distance to the camera as a share of it.
+    pub(super) fn of_body(body: &BodyOnGround, distance_std: f64) -> Self {
+        let with_distance = |found: Estimate| Estimate { std: found.std.hypot(distance_std * found.value), ..found };
+        let [length, width, height] = [body.length, body.width, body.height].map(|found| found.map(with_distance));
+        Self { length, width, height }
     }
 
     /// The same in metres, with the deviation of the scale.
@@ -98,6 +109,88 @@ pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size
     Alike { source: doubtful.source, odd: [trusted.odd, doubtful.odd].concat() }
 }
 
+/// Sizes of all vehicles that have one: by trajectories that can be used, by outlines on the ground, by other
+/// trajectories.
+pub(super) fn sizes_of_all(
+    trajectories: &Trajectories,
+    sizes: &BTreeMap<ObjectId, Size>,
+    bodies: &BTreeMap<ObjectId, BodyOnGround>,
+    background: &Reconstruction,
+) -> BTreeMap<ObjectId, Size> {
+    let on_ground = trajectories.ground_tracks.iter().filter_map(|track| {
+        let distance_std = common_distance_std(track, background)?;
+        Some((track.id, Size::of_body(bodies.get(&track.id)?, distance_std)))
+    });
+    let usable = trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
+    let usable = usable.filter_map(|trajectory| Some((trajectory.id, *sizes.get(&trajectory.id)?)));
+    sizes.iter().map(|(id, size)| (*id, *size)).chain(on_ground).chain(usable).collect()
+}
+
+/// Asks the vehicles that are followed on the ground.
+pub(super) fn alike_on_ground(
+    tracks: &[GroundTrack],
+    bodies: &BTreeMap<ObjectId, BodyOnGround>,
+    background: &Reconstruction,
+) -> Alike {
+    let with_body = || tracks.iter().filter_map(|track| Some((track, bodies.get(&track.id)?)));
+    let of_class = |(track, body)| {
+        let mut found = extents_on_ground(track, body, 0.0);
+        if is_car_by_size(&found, None) {
+            found.iter_mut().for_each(|extent| extent.class = VehicleClass::Car);
+        }
+        found
+    };
+    let extents: Vec<Extent> = with_body().flat_map(of_class).collect();
+    let common = median(with_body().filter_map(|(track, _)| common_distance_std(track, background)).collect());
+    let mut found = Alike::of(vehicle_sizes(&extents));
+    found.source = found
+        .source
+        .zip(common)
+        .map(|(source, common)| Source { std: source.std.hypot(common).hypot(BodyOnGround::MASKS), ..source });
+    found
+}
+
+/// Standard deviation of the distances of a vehicle that all vehicles have in common, as a share of them: those of the
+/// plane and of the focal length.
+fn common_distance_std(track: &GroundTrack, background: &Reconstruction) -> Option<f64> {
+    let share = |at: &GroundPosition| {
+        let sight =
+            Vector3::from(at.position) - background.images.get(&at.frame.into())?.cam_from_world.center().coords;
+        let along = |error: [f64; 3]| sight.dot(&Vector3::from(error)) / sight.norm_squared();
+        Some(along(at.error.common).hypot(along(at.error.focal)))
+    };
+    median(track.positions.iter().filter_map(share).collect())
+}
+
+/// * `ratio_std` – common standard deviation of the dimensions, as a share of them.
+fn extents_on_ground(track: &GroundTrack, body: &BodyOnGround, ratio_std: f64) -> Vec<Extent> {
+    let Some(class) = VehicleClass::from_label(&track.class) else { return Vec::new() };
+    let dimensions = Dimension::ALL.into_iter().zip([body.length, body.width, body.height]);
+    let extent = |(dimension, found): (Dimension, Option<Estimate>)| {
+        let Estimate { value, std } = found?;
+        Some(Extent { vehicle: track.id.0, class, dimension, value, std, ratio_std, is_unconfirmed: false })
+    };
+    dimensions.filter_map(extent).collect()
+}
+
+/// The same of vehicles on the ground, and of their trajectories.
+pub(super) fn correct_classes_on_ground(
+    tracks: &mut [GroundTrack],
+    objects: &mut [ObjectTrajectory],
+    bodies: &BTreeMap<ObjectId, BodyOnGround>,
+    known: Option<(f64, f64)>,
+    background: &Reconstruction,
+) {
+    for track in tracks {
+        let Some((body, common)) = bodies.get(&track.id).zip(common_distance_std(track, background)) else { continue };
+        if is_car_by_size(&extents_on_ground(track, body, common.hypot(BodyOnGround::MASKS)), known) {
+            let trajectory = objects.iter_mut().find(|trajectory| trajectory.id == track.id);
+            trajectory.into_iter().for_each(|trajectory| trajectory.class = "car".to_owned());
+            track.class = "car".to_owned();
+        }
+    }
+}
+
 fn is_doubtful(trajectory: &ObjectTrajectory) -> bool {
     trajectory.verdict.as_ref().is_some_and(|verdict| verdict.state >= Trust::Doubtful)
 }
@@ -115,6 +208,12 @@ impl Alike {
         let name = "typical vehicle sizes".to_owned();
         let source = |(log_scale, std)| Source { name, kind: Kind::Prior, log_scale, std };
         Self { source: found.log_scale.map(source), odd: found.odd }
+    }
+
+    /// These, or others of which the source is the surer one.
+    pub(super) fn or_if_surer(self, other: Self) -> Self {
+        let std = |alike: &Self| alike.source.as_ref().map_or(f64::INFINITY, |source| source.std);
+        if std(&other) < std(&self) { other } else { self }
     }
 
     /// Says which vehicles are odd.
@@ -218,7 +317,10 @@ fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> V
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{ScaleMethod, ScaleSupport, Unit, Verdict};
+    use crate::math::Rigid3;
+    use crate::scene::{
+        CameraId, ContactError, FrameId, GroundTrackMethod, Image, ImageId, ScaleMethod, ScaleSupport, Unit, Verdict,
+    };
 
     fn sizes() -> BTreeMap<ObjectId, Size> {
         let length = Some(Estimate { value: 2.0, std: 0.02 });
@@ -300,6 +402,78 @@ mod tests {
         };
         assert!(std(5, 0.06) < 0.1 && std(0, 0.01) < 0.1, "{} {}", std(5, 0.06), std(0, 0.01));
         assert!(std(0, 0.06) > 0.25, "{}", std(0, 0.06));
+    }
+
+    #[test]
+    fn sizes_on_the_ground_serve_where_no_trajectory_is_surer() {
+        let image = Image {
+            name: "0.jpg".into(),
+            camera: CameraId(1),
+            cam_from_world: Rigid3::identity(),
+            observations: Vec::new(),
+        };
+        let background =
+            Reconstruction { images: [(ImageId::from(FrameId(0)), image)].into(), ..Reconstruction::default() };
+        let track = |id: u32, class: &str, common: f64| {
+            let error = ContactError { common: [0.0, 0.0, common], ..ContactError::default() };
+            let (frame, position) = (FrameId(0), [0.0, 0.0, 10.0]);
+            let at = GroundPosition { frame, name: "0.jpg".into(), time_s: 0.0, position, error, metric: None };
+            GroundTrack {
+                id: ObjectId(id),
+                class: class.into(),
+                confidence: 0.5,
+                method: GroundTrackMethod::GroundContact,
+                reason: String::new(),
+                verdict: None,
+                ground: BTreeMap::new(),
+                omitted: BTreeMap::new(),
+                apparent_size: [1.0; 2],
+                apparent_size_m: None,
+                dimensions: None,
+                axis_deg: None,
+                travel: None,
+                positions: vec![at],
+            }
+        };
+        let extent = |units: f64| Some(Estimate { value: units, std: 0.05 * units });
+        let body = |factor: f64| BodyOnGround {
+            length: extent(4.3 * factor),
+            width: extent(1.8 * factor),
+            ..BodyOnGround::default()
+        };
+        let bodies: BTreeMap<_, _> = [1, 2].map(|id| (ObjectId(id), body(2.0))).into();
+        let found = |class: &str, common| {
+            let tracks = [1, 2].map(|id| track(id, class, common));
+            alike_on_ground(&tracks, &bodies, &background)
+        };
+        // Two metres are a unit; from above a detector takes a car for a bus.
+        for class in ["car", "bus"] {
+            let source = found(class, 0.0).source.unwrap();
+            assert!(
+                (source.log_scale.exp() - 0.5).abs() < 0.05 && source.std > BodyOnGround::MASKS,
+                "{class}: {source:?}"
+            );
+        }
+        assert!(found("vehicle", 0.0).source.is_none(), "anything that moves is no car");
+        let unsure = found("car", 2.0);
+        assert!(unsure.source.as_ref().unwrap().std > 0.2, "the error of all distances is the error of all sizes");
+        let (trajectory, size) = car(3, 1.0, Trust::Good);
+        let all = Trajectories {
+            unit: Unit::Background,
+            metric: None,
+            objects: vec![trajectory],
+            ground_tracks: vec![track(1, "car", 0.0), track(3, "car", 0.0)],
+        };
+        let models = alike(&all, &[size].into()).source;
+        assert_eq!(alike(&all, &[size].into()).or_if_surer(unsure).source, models);
+        let sizes = sizes_of_all(&all, &[size].into(), &bodies, &background);
+        assert_eq!(sizes[&ObjectId(1)].length, extent(8.6), "on the ground, without a trajectory");
+        assert_eq!(sizes[&ObjectId(3)], size.1, "a good trajectory has the last word");
+        let mut tracks = [track(1, "bus", 0.0), track(2, "bus", 0.0)];
+        let of_a_bus = BodyOnGround { length: extent(24.0), width: extent(5.0), ..BodyOnGround::default() };
+        let bodies = [(ObjectId(1), body(2.0)), (ObjectId(2), of_a_bus)].into();
+        correct_classes_on_ground(&mut tracks, &mut [], &bodies, Some((0.5f64.ln(), 0.02)), &background);
+        assert_eq!(tracks.map(|track| track.class), ["car", "bus"]);
     }
 
     #[test]

@@ -15,7 +15,7 @@ use crate::scene::{
     Frame, FrameId, GroundPosition, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, Reason, ReasonKind, Topic,
     TrackedObject, Trust,
 };
-use crate::trajectory::{self, ContactEvidence, FocalError, Silhouette, outline_pixels, with_reason};
+use crate::trajectory::{self, BodyOnGround, ContactEvidence, FocalError, Silhouette, outline_pixels, with_reason};
 
 /// Share of a vehicle's frames that its trajectory must cover to need no ground track besides: less is an excerpt.
 const MOSTLY: f64 = 0.5;
@@ -25,7 +25,9 @@ const MAX_DEVIATIONS: f64 = 3.0;
 const BETTER: f64 = 0.5;
 
 /// Ground tracks of the vehicles that have a model, or why they have none.
-pub(super) type Followed = BTreeMap<ObjectId, Result<GroundTrack, String>>;
+pub(super) type Followed = BTreeMap<ObjectId, Result<OnGround, String>>;
+/// A ground track, and the body of its vehicle.
+pub(super) type OnGround = (GroundTrack, Option<BodyOnGround>);
 
 /// Outcomes of the vehicles so far.
 pub(super) struct Placed<'a> {
@@ -81,7 +83,12 @@ pub(in crate::pipeline) fn decided(tracks: Vec<GroundTrack>, objects: &[ObjectTr
 }
 
 /// Follows every vehicle on the ground whose trajectory is unusable or doubtful.
-pub(super) fn find(scene: &Scene, mut placed: Placed, outcome: &mut Outcome) -> Result<Vec<GroundTrack>> {
+pub(super) fn find(
+    scene: &Scene,
+    mut placed: Placed,
+    bodies: &mut BTreeMap<ObjectId, BodyOnGround>,
+    outcome: &mut Outcome,
+) -> Result<Vec<GroundTrack>> {
     let wanted = placed.tracked.iter().filter_map(|tracked| Some((tracked, placed.reason(tracked)?)));
     let are_wanted = !scene.background.is_empty() && !scene.run.options.scale.method_only;
     let wanted: Vec<_> = wanted.filter(|_| are_wanted).collect();
@@ -89,7 +96,10 @@ pub(super) fn find(scene: &Scene, mut placed: Placed, outcome: &mut Outcome) -> 
     for (tracked, reason) in wanted {
         let is_needed = !reason.is_empty();
         match placed.followed.remove(&tracked.id).unwrap_or_else(|| follow(scene, tracked)) {
-            Ok(track) => tracks.push(GroundTrack { reason, ..track }),
+            Ok((track, body)) => {
+                bodies.extend(body.map(|body| (tracked.id, body)));
+                tracks.push(GroundTrack { reason, ..track });
+            }
             Err(reason) if is_needed => drop(without.insert(tracked.id.to_string(), reason)),
             Err(_) => {}
         }
@@ -104,7 +114,7 @@ pub(super) fn find(scene: &Scene, mut placed: Placed, outcome: &mut Outcome) -> 
 ///
 /// # Errors
 /// Why it has no ground track.
-pub(super) fn follow(scene: &Scene, tracked: &TrackedObject) -> Result<GroundTrack, String> {
+pub(super) fn follow(scene: &Scene, tracked: &TrackedObject) -> Result<OnGround, String> {
     let (run, background) = (scene.run, scene.background);
     let chain = scene.sources.chain(background, run.options);
     let none = BTreeMap::<_, Silhouette>::new();
@@ -129,7 +139,7 @@ pub(super) fn judge(scene: &Scene, objects: &mut [ObjectTrajectory], followed: &
     let level = Matrix3::identity() - ground.normal_in_world * ground.normal_in_world.transpose();
     let centers = centers(scene);
     for object in objects.iter_mut().filter(|object| !object.is_ruled_out()) {
-        let Some(Ok(track)) = followed.get(&object.id) else { continue };
+        let Some(Ok((track, _))) = followed.get(&object.id) else { continue };
         let reason = by_ground_track(object, track, &centers, &level);
         let Some((reason, verdict)) = reason.zip(object.verdict.take()) else { continue };
         let says = reason.says.clone();
@@ -205,6 +215,8 @@ mod tests {
             omitted: BTreeMap::new(),
             apparent_size: [0.0; 2],
             apparent_size_m: None,
+            dimensions: None,
+            axis_deg: None,
             travel: None,
             positions: Vec::new(),
         }
