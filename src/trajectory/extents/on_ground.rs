@@ -43,6 +43,9 @@ pub struct BodyOnGround {
     /// Unit vector along its length, and the standard deviation of its direction, radians; front and rear are not
     /// distinguished. `None` of a vehicle that moves, or is as wide as it is long.
     pub axis: Option<([f64; 3], f64)>,
+    /// The part of the standard deviation of the length, as a share of it, that all vehicles have in common: their
+    /// masks are too large or too small alike.
+    pub mask_std: f64,
 }
 
 /// Frames that are looked at, at most: masks of the frames between have the same errors.
@@ -55,6 +58,11 @@ const PROPORTION_STD: [f64; 2] = [0.3, 0.2];
 /// Standard deviation of the logarithm of a dimension beyond which it counts as unobserved: half of that of a width by
 /// a known length and usual proportions.
 const OBSERVED: f64 = 0.15;
+/// Standard deviation of a dimension by masks that are too large or too small in all frames, and of all vehicles:
+/// shadows, dark edges. A share of it, without which σ of lengths on seven rendered flights is 1.46 times too small,
+/// and pixels, half of one at each edge: cars of 12 px on a drone's clip are 5.3 m long in the median.
+const MASKS: f64 = 0.05;
+const MASKS_PX: f64 = 1.0;
 /// Standard deviation of the heading of a vehicle that moves, radians, and of one at rest from the next start: a
 /// quarter of a turn is shared by two.
 const HEADING: f64 = 0.05;
@@ -67,10 +75,6 @@ const AS_GOOD: f64 = 4.0;
 const OTHER: f64 = 0.35;
 
 impl BodyOnGround {
-    /// Standard deviation of the logarithm of a dimension by masks that are too large or too small in all frames, and
-    /// of all vehicles: shadows, dark edges. On seven rendered flights σ of lengths is 1.46 times too small without it.
-    pub const MASKS: f64 = 0.05;
-
     /// From all frames; `None` where too few show the vehicle.
     pub(in crate::trajectory) fn of(stands: &[Stand], body: Body) -> Option<Self> {
         let size = median(stands.iter().map(|stand| stand.apparent_size).collect())?;
@@ -99,7 +103,14 @@ impl BodyOnGround {
         let of_vehicle = |found: &Vec<Fit>| PlacedFit { fit: found[0], object_from_vehicle: Rigid3::identity() };
         let weighted = Weighted::of(by_shape.iter().map(of_vehicle).collect(), independent)?;
         let logs = Logs::of(&weighted)?;
-        let with_masks = |found: Estimate| Estimate { std: found.std.hypot(Self::MASKS * found.value), ..found };
+        // One pixel at the distance of the vehicle.
+        let pixel = |(stand, _): &(&Stand, &Rigid3)| {
+            (stand.position - stand.cam_from_world.center()).norm() / stand.camera.mean_focal()
+        };
+        let pixel = median(placed.iter().map(pixel).collect())?;
+        let of_masks = |size: f64| MASKS.hypot(MASKS_PX * pixel / size);
+        let with_masks =
+            |found: Estimate| Estimate { std: found.std.hypot(of_masks(found.value) * found.value), ..found };
         let seen = |k| logs.within(k, OBSERVED).map(with_masks);
         let (length, width) = if is_ambiguous { (None, None) } else { (seen(0), seen(1)) };
         let axis = || {
@@ -110,7 +121,7 @@ impl BodyOnGround {
             Some((axis.into(), (best[0].covariance[(5, 5)] + between_shapes).sqrt()))
         };
         let axis = axis().filter(|_| places.are_at_rest && !is_ambiguous);
-        Some(Self { length, width, height: seen(2), axis })
+        Some(Self { length, width, height: seen(2), axis, mask_std: of_masks(logs.value[0].exp()) })
     }
 }
 

@@ -141,12 +141,10 @@ pub(super) fn alike_on_ground(
         found
     };
     let extents: Vec<Extent> = with_body().flat_map(of_class).collect();
-    let common = median(with_body().filter_map(|(track, _)| common_distance_std(track, background)).collect());
+    let common = |(track, body): (_, &BodyOnGround)| Some(common_distance_std(track, background)?.hypot(body.mask_std));
+    let common = median(with_body().filter_map(common).collect());
     let mut found = Alike::of(vehicle_sizes(&extents));
-    found.source = found
-        .source
-        .zip(common)
-        .map(|(source, common)| Source { std: source.std.hypot(common).hypot(BodyOnGround::MASKS), ..source });
+    found.source = found.source.zip(common).map(|(source, common)| Source { std: source.std.hypot(common), ..source });
     found
 }
 
@@ -183,7 +181,7 @@ pub(super) fn correct_classes_on_ground(
 ) {
     for track in tracks {
         let Some((body, common)) = bodies.get(&track.id).zip(common_distance_std(track, background)) else { continue };
-        if is_car_by_size(&extents_on_ground(track, body, common.hypot(BodyOnGround::MASKS)), known) {
+        if is_car_by_size(&extents_on_ground(track, body, common.hypot(body.mask_std)), known) {
             let trajectory = objects.iter_mut().find(|trajectory| trajectory.id == track.id);
             trajectory.into_iter().for_each(|trajectory| trajectory.class = "car".to_owned());
             track.class = "car".to_owned();
@@ -439,6 +437,7 @@ mod tests {
         let body = |factor: f64| BodyOnGround {
             length: extent(4.3 * factor),
             width: extent(1.8 * factor),
+            mask_std: 0.05,
             ..BodyOnGround::default()
         };
         let bodies: BTreeMap<_, _> = [1, 2].map(|id| (ObjectId(id), body(2.0))).into();
@@ -449,10 +448,7 @@ mod tests {
         // Two metres are a unit; from above a detector takes a car for a bus.
         for class in ["car", "bus"] {
             let source = found(class, 0.0).source.unwrap();
-            assert!(
-                (source.log_scale.exp() - 0.5).abs() < 0.05 && source.std > BodyOnGround::MASKS,
-                "{class}: {source:?}"
-            );
+            assert!((source.log_scale.exp() - 0.5).abs() < 0.05 && source.std > 0.05, "{class}: {source:?}");
         }
         assert!(found("vehicle", 0.0).source.is_none(), "anything that moves is no car");
         let unsure = found("car", 2.0);
