@@ -124,7 +124,7 @@ impl NoContact {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundTrackTrust {
-    /// Distances are known to ±10 % or better.
+    /// Distances and displacements are known to ±10 % or better.
     Usable,
     /// Distances are known less well.
     Coarse,

@@ -17,8 +17,8 @@ use crate::scene::{
 };
 use crate::trajectory::{BodyOnGround, CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 
-/// Standard deviation of the distance up to which a track is usable, as a share: that of a scale ratio beyond which a
-/// trajectory is doubtful.
+/// Standard deviation of the distance, and of the displacement, up to which a track is usable, as a share: that of a
+/// scale ratio beyond which a trajectory is doubtful.
 const USABLE: f64 = 0.1;
 /// Deviation from the smooth path, in standard deviations of the positions, that a tenth of them may exceed: a
 /// twentieth of normal ones is beyond two.
@@ -108,7 +108,7 @@ impl Placing<'_> {
         }
         let measured = self.contacts(track);
         let found = smooth(&measured, &common, Movement::Undetermined);
-        let verdict = verdict(distance_std, worst);
+        let verdict = verdict(distance_std, displacement_by_focal(track), worst);
         // Where positions jump, the mask is not that of one vehicle.
         if scale == Scale::Known && verdict.state != GroundTrackTrust::Inconsistent {
             track.dimensions = Some(Size::of_body(&body, distance_std).in_metres(self.frame));
@@ -184,8 +184,19 @@ fn worst_deviation(measured: &[PositionMeasurement], found: &Smoothed) -> f64 {
     quantile(&mut all, 0.9).unwrap_or_default()
 }
 
-/// The verdict on a track, by its distances and the deviation from its smooth path; `None` without such a path.
-fn verdict(distance_std: f64, worst: Option<f64>) -> GroundTrackVerdict {
+/// Standard deviation of the displacement by that of the focal length, as a share of it: straight below a camera,
+/// distances do not depend on it, and displacements do. `None` of a vehicle that moves by less than its size.
+fn displacement_by_focal(track: &GroundTrack) -> Option<f64> {
+    let (first, last) = (track.positions.first()?, track.positions.last()?);
+    let between = |first: [f64; 3], last: [f64; 3]| (Vector3::from(last) - Vector3::from(first)).norm();
+    let displacement = between(first.position, last.position);
+    let [width, height] = track.apparent_size;
+    (displacement > width.max(height)).then(|| between(first.error.focal, last.error.focal) / displacement)
+}
+
+/// The verdict on a track, by its distances, its displacement and the deviation from its smooth path; `None` without
+/// such a path.
+fn verdict(distance_std: f64, displacement_std: Option<f64>, worst: Option<f64>) -> GroundTrackVerdict {
     let (state, says) = match worst {
         None => (GroundTrackTrust::Inconsistent, "too few positions for a smooth path".to_owned()),
         Some(worst) if worst > CONSISTENT => (
@@ -195,10 +206,17 @@ fn verdict(distance_std: f64, worst: Option<f64>) -> GroundTrackVerdict {
                  enlarged accordingly"
             ),
         ),
-        Some(_) => {
-            let state = if distance_std <= USABLE { GroundTrackTrust::Usable } else { GroundTrackTrust::Coarse };
-            (state, format!("distance to the camera ±{} (1σ)", percent(distance_std)))
-        }
+        Some(_) => match displacement_std.filter(|std| *std > USABLE) {
+            Some(std) => {
+                let [of_path, of_distance] = [std, distance_std].map(percent);
+                let by_focal = format!("displacement ±{of_path} (1σ) by the focal length");
+                (GroundTrackTrust::Coarse, format!("{by_focal}, distance to the camera ±{of_distance}"))
+            }
+            None => {
+                let state = if distance_std <= USABLE { GroundTrackTrust::Usable } else { GroundTrackTrust::Coarse };
+                (state, format!("distance to the camera ±{} (1σ)", percent(distance_std)))
+            }
+        },
     };
     GroundTrackVerdict { state, distance_std, says }
 }
@@ -206,6 +224,7 @@ fn verdict(distance_std: f64, worst: Option<f64>) -> GroundTrackVerdict {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::{ContactError, FrameId, GroundTrackMethod};
 
     #[test]
     fn sizes_of_no_vehicle_are_impossible() {
@@ -227,10 +246,50 @@ mod tests {
 
     #[test]
     fn verdicts_are_by_distance_and_smooth_path() {
-        let state = |distance_std, worst| verdict(distance_std, worst).state;
+        let state = |distance_std, worst| verdict(distance_std, None, worst).state;
         assert_eq!(state(0.04, Some(1.5)), GroundTrackTrust::Usable);
         assert_eq!(state(0.2, Some(1.5)), GroundTrackTrust::Coarse);
         assert_eq!(state(0.04, Some(5.0)), GroundTrackTrust::Inconsistent);
         assert_eq!(state(0.04, None), GroundTrackTrust::Inconsistent);
+    }
+
+    #[test]
+    fn an_unknown_focal_length_below_a_camera_makes_a_track_coarse() {
+        let found = verdict(0.01, Some(0.75), Some(1.0));
+        assert_eq!(found.state, GroundTrackTrust::Coarse);
+        assert!(
+            found.says.starts_with("displacement ±75 %") && found.says.ends_with("camera ±1.0 %"),
+            "{}",
+            found.says
+        );
+        assert_eq!(verdict(0.01, Some(0.05), Some(1.0)).state, GroundTrackTrust::Usable);
+        let position = |x: f64, by_focal: f64| GroundPosition {
+            frame: FrameId(0),
+            name: String::new(),
+            time_s: 0.0,
+            position: [x, 0.0, 0.0],
+            error: ContactError { focal: [by_focal, 0.0, 0.0], ..ContactError::default() },
+            metric: None,
+        };
+        let share = |path: f64| {
+            displacement_by_focal(&GroundTrack {
+                id: ObjectId(1),
+                class: String::new(),
+                confidence: 0.5,
+                method: GroundTrackMethod::GroundContact,
+                reason: String::new(),
+                verdict: None,
+                ground: BTreeMap::new(),
+                omitted: BTreeMap::new(),
+                apparent_size: [4.0, 2.0],
+                apparent_size_m: None,
+                dimensions: None,
+                axis_deg: None,
+                travel: None,
+                positions: vec![position(1.0, -0.5), position(1.0 + path, 0.75 * path - 0.5)],
+            })
+        };
+        assert!((share(20.0).unwrap() - 0.75).abs() < 1e-12);
+        assert_eq!(share(3.0), None, "it hardly moves");
     }
 }
