@@ -451,6 +451,15 @@ def _truth_of(truth: Truth, thing: dict, poses: dict[str, tuple[np.ndarray, np.n
     return min(truth.vehicles, key=angle)
 
 
+# What is stated of a sequence and a run, and its help.
+OF_A_RUN = {
+    "recall": (recall, "frames in which a run has masks of the driven vehicles"),
+    "plane": (plane, "errors of the ground's normal and of the focal length"),
+    "sizes": (sizes, "errors of lengths, widths and axes of ground tracks, and of meters"),
+    "relief": (relief, "what the ground's shape changes of the driven vehicle's size"),
+}
+
+
 def main() -> None:
     """Reads the arguments."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -463,27 +472,13 @@ def main() -> None:
     errors.add_argument("sequence", type=Path)
     errors.add_argument("run", type=Path)
     errors.add_argument("--points", type=Path, help="points of the map, for the homography")
-    seen = commands.add_parser("recall", help="frames in which a run has masks of the driven vehicles")
-    seen.add_argument("sequence", type=Path)
-    seen.add_argument("run", type=Path)
-    normal = commands.add_parser("plane", help="errors of the ground's normal and of the focal length")
-    normal.add_argument("sequence", type=Path)
-    normal.add_argument("run", type=Path)
-    bodies = commands.add_parser("sizes", help="errors of lengths, widths and axes of ground tracks, and of meters")
-    bodies.add_argument("sequence", type=Path)
-    bodies.add_argument("run", type=Path)
-    ground = commands.add_parser("relief", help="what the ground's shape changes of the driven vehicle's size")
-    ground.add_argument("sequence", type=Path)
-    ground.add_argument("run", type=Path)
+    for name, (_, text) in OF_A_RUN.items():
+        of_run = commands.add_parser(name, help=text)
+        of_run.add_argument("sequence", type=Path)
+        of_run.add_argument("run", type=Path)
     arguments = parser.parse_args()
-    if arguments.command == "sizes":
-        sizes(arguments.sequence, arguments.run)
-    elif arguments.command == "relief":
-        relief(arguments.sequence, arguments.run)
-    elif arguments.command == "recall":
-        recall(arguments.sequence, arguments.run)
-    elif arguments.command == "plane":
-        plane(arguments.sequence, arguments.run)
+    if arguments.command in OF_A_RUN:
+        OF_A_RUN[arguments.command][0](arguments.sequence, arguments.run)
     elif arguments.command == "inputs":
         write_inputs(arguments.sequence, arguments.output, arguments.seed)
     elif (arguments.run / "live.jsonl").is_file() and not (arguments.run / "trajectories.json").is_file():
