@@ -57,7 +57,7 @@ fn on_ground(track: &GroundTrack, times: TimeBase) -> String {
     if let Some(travel) = in_words(&ground_track_facts(track, times)) {
         text += &format!("     on the ground: {travel}\n");
     }
-    if let Some(size) = track.dimensions.and_then(|size| in_brief(size, false)) {
+    if let Some(size) = track.dimensions.and_then(|size| size_in_words(size, false)) {
         text += &format!("     size: {size}\n");
     }
     if let Some(omitted) = track.omissions() {
@@ -76,7 +76,7 @@ fn placed(found: &ObjectTrajectory, vehicle: &Vehicle, times: TimeBase) -> Strin
     if let Some(travel) = in_words(&travel_facts(found, times)) {
         let _ = writeln!(text, "     {travel}");
     }
-    if let Some(size) = found.dimensions.and_then(|size| in_brief(size, found.is_ruled_out())) {
+    if let Some(size) = found.dimensions.and_then(|size| size_in_words(size, found.is_ruled_out())) {
         let _ = writeln!(text, "     size: {size}");
     }
     for reason in doubts(found) {
@@ -131,7 +131,7 @@ fn class(name: &str, vehicle: &Vehicle) -> String {
 }
 
 /// Length, width and height, as far as they were seen.
-fn in_brief(Dimensions { length_m, width_m, height_m }: Dimensions, is_ruled_out: bool) -> Option<String> {
+fn size_in_words(Dimensions { length_m, width_m, height_m }: Dimensions, is_ruled_out: bool) -> Option<String> {
     let parts = [("long", length_m), ("wide", width_m), ("high", height_m)];
     let said =
         parts.into_iter().filter_map(|(what, size)| Some(format!("{} {what}", estimate(is_ruled_out, size?, "m"))));

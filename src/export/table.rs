@@ -51,7 +51,7 @@ const FACTS: [Fact; 27] = [
 ];
 
 /// Those of the frames, the travel and the size, which ground tracks have, too.
-const TRAVEL: [Range<usize>; 2] = [5..8, 10..27];
+const OF_GROUND_TRACKS: [Range<usize>; 2] = [5..8, 10..27];
 
 /// Columns of metric values.
 const METRIC: [MetricColumn; 23] = [
@@ -115,8 +115,8 @@ pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
 }
 
 /// The columns that ground tracks have, too.
-fn travel_facts() -> impl Iterator<Item = Fact> {
-    TRAVEL.into_iter().flatten().map(|k| FACTS[k])
+fn shared_facts() -> impl Iterator<Item = Fact> {
+    OF_GROUND_TRACKS.into_iter().flatten().map(|k| FACTS[k])
 }
 
 /// One row per vehicle and frame.
@@ -143,7 +143,7 @@ fn pose_cells(results: &Results, clock: &Clock, object: &ObjectTrajectory, index
 pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), ExportError> {
     let own = ["vehicle", "class", "confidence", "method", "verdict", "remark", "reason", "distance_std", "omitted"];
     let axis = ["axis_deg", "axis_std_deg"];
-    let columns: Vec<&str> = own.into_iter().chain(travel_facts().map(|(name, _)| name)).chain(axis).collect();
+    let columns: Vec<&str> = own.into_iter().chain(shared_facts().map(|(name, _)| name)).chain(axis).collect();
     let row = |track: &GroundTrack| {
         let facts = Facts::of_ground_track(track, results.time_base);
         let own = [
@@ -158,7 +158,7 @@ pub(super) fn ground_tracks(path: &Path, results: &Results) -> Result<(), Export
             track.omissions().unwrap_or_default(),
         ];
         let axis = [value(track.axis_deg), std(track.axis_deg)];
-        own.into_iter().chain(travel_facts().map(|(_, cell)| cell(&facts))).chain(axis).collect()
+        own.into_iter().chain(shared_facts().map(|(_, cell)| cell(&facts))).chain(axis).collect()
     };
     write_in(path, results.units, &columns, results.trajectories.ground_tracks.iter().map(row))
 }

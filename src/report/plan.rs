@@ -301,11 +301,9 @@ fn tenth(v: f64) -> f64 {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use super::*;
     use crate::report::testing;
-    use crate::scene::{ContactError, Dimensions, FrameId, GroundPosition, GroundTrackMethod};
+    use crate::scene::{ContactError, Dimensions, FrameId, GroundPosition};
 
     #[test]
     fn a_small_path_is_drawn_as_finely_as_a_large_one() {
@@ -338,20 +336,10 @@ mod tests {
         };
         let [length, width] = [4.0, 2.0].map(|value| Some(Estimate { value, std: 0.1 }));
         world.ground_track = Some(GroundTrack {
-            id: world.trajectory.id,
-            class: "car".into(),
-            confidence: 0.9,
-            method: GroundTrackMethod::GroundContact,
-            reason: "no trajectory".into(),
-            verdict: None,
-            ground: BTreeMap::new(),
-            omitted: BTreeMap::new(),
-            apparent_size: [1.0; 2],
-            apparent_size_m: None,
             dimensions: Some(Dimensions { length_m: length, width_m: width, height_m: None }),
             axis_deg: Some(Estimate { value: 30.0, std: 3.0 }),
-            travel: None,
             positions: [0, 1].map(|frame| position(FrameId(frame))).to_vec(),
+            ..GroundTrack::new(world.trajectory.id, "car", 0.9)
         });
         let data = world.data();
         let view = View::new(&data).unwrap();

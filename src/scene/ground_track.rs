@@ -186,6 +186,26 @@ pub struct GroundTrack {
 }
 
 impl GroundTrack {
+    /// Without positions.
+    pub fn new(id: ObjectId, class: impl Into<String>, confidence: f64) -> Self {
+        Self {
+            id,
+            class: class.into(),
+            confidence,
+            method: GroundTrackMethod::GroundContact,
+            reason: String::new(),
+            verdict: None,
+            ground: BTreeMap::new(),
+            omitted: BTreeMap::new(),
+            apparent_size: [0.0; 2],
+            apparent_size_m: None,
+            dimensions: None,
+            axis_deg: None,
+            travel: None,
+            positions: Vec::new(),
+        }
+    }
+
     /// Name of the track: class and id.
     pub fn name(&self) -> String {
         let class = if self.class.is_empty() { "vehicle" } else { &self.class };

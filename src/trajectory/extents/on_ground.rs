@@ -1,7 +1,8 @@
 //! The body of a vehicle of which only masks and places on the ground are known, below a camera of any kind.
 //!
 //! The bodies are those of models ([`template`]), and so is their fit to the outlines; places and headings are those
-//! of a ground track. Without points, usual proportions complete what outlines leave open: a height from above.
+//! of a ground track. Without points, usual proportions complete what outlines leave open, such as the height from
+//! straight above.
 //! docs/maths/ground-track.md has the equations.
 
 use std::f64::consts::PI;
@@ -15,6 +16,7 @@ use super::{Logs, PlacedFit, Weighted, template, weight_of};
 use crate::camera::Camera;
 use crate::math::{Rigid3, median};
 use crate::scene::{Estimate, GroundPlane};
+use crate::trajectory::body::{HEIGHT_PER_WIDTH, WIDTH_PER_LENGTH, WIDTH_STD};
 use crate::trajectory::{Body, Silhouette};
 
 /// A vehicle in one frame, in a frame of reference that all frames share.
@@ -50,11 +52,10 @@ pub struct BodyOnGround {
 
 /// Frames that are looked at, at most: masks of the frames between have the same errors.
 const MAX_SIGHTS: usize = 12;
-/// Width over length and height over width, standard deviations of their logarithms, from small cars to lorries, as in
-/// `ground_track::footprint`; of a two-wheeler with its rider.
-const PROPORTIONS: [f64; 2] = [0.42, 0.9];
+/// Width over length and height over width of a two-wheeler with its rider.
 const OF_TWO_WHEELERS: [f64; 2] = [0.36, 1.9];
-const PROPORTION_STD: [f64; 2] = [0.3, 0.2];
+/// Standard deviation of the logarithm of height over width: half of the range from cars to lorries.
+const HEIGHT_STD: f64 = 0.2;
 /// Standard deviation of the logarithm of a dimension beyond which it counts as unobserved: half of that of a width by
 /// a known length and usual proportions.
 const OBSERVED: f64 = 0.15;
@@ -145,11 +146,11 @@ fn turn_between(one: &Fit, other: &Fit) -> f64 {
 ///
 /// * `turn` – against the places, of a vehicle at rest.
 fn expected(size: f64, body: Body, turn: Option<f64>) -> Expected {
-    let shares = if body == Body::TwoWheeler { OF_TWO_WHEELERS } else { PROPORTIONS };
+    let shares = if body == Body::TwoWheeler { OF_TWO_WHEELERS } else { [WIDTH_PER_LENGTH, HEIGHT_PER_WIDTH] };
     let width = size * shares[0].sqrt();
     let (length, height) = (width / shares[0], width * shares[1]);
     let yaw = if turn.is_some() { TURN } else { HEADING };
-    let proportions = [[1, 0], [2, 1]].into_iter().zip(shares).zip(PROPORTION_STD);
+    let proportions = [[1, 0], [2, 1]].into_iter().zip(shares).zip([WIDTH_STD, HEIGHT_STD]);
     Expected {
         value: Unknowns::from([length.ln(), width.ln(), height.ln(), 0.0, 0.0, turn.unwrap_or(0.0), 0.0]),
         // The size is open, the place half a length.

@@ -13,12 +13,8 @@
 
 use std::f64::consts::FRAC_PI_2;
 
-/// Width over length, and the standard deviation of its logarithm: small cars have 0.61, cars 0.41, delivery vans 0.39,
-/// lorries 0.31, buses 0.21.
-const WIDTH_PER_LENGTH: f64 = 0.42;
-const WIDTH_STD: f64 = 0.3;
-/// Height over width: cars have 0.83, small cars and off-road vehicles 0.9 to 1, buses and lorries 1.2 to 1.3.
-const HEIGHT_PER_WIDTH: f64 = 0.9;
+use crate::trajectory::body::{HEIGHT_PER_WIDTH, WIDTH_PER_LENGTH, WIDTH_STD};
+
 /// Standard deviation of the logarithm of an extent: by the spread of heights (0.12), by masks, and by the box, which
 /// vehicles fill up to their bonnets and corners only.
 const EXTENT_STD: f64 = 0.15;

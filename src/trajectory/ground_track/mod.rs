@@ -27,8 +27,7 @@ use super::extents::{BodyOnGround, Stand};
 use super::{Body, ObjectDescription, Silhouette};
 use crate::math::median;
 use crate::scene::{
-    Frame, FrameId, GroundPlane, GroundPosition, GroundTrack, GroundTrackMethod, Image, NoContact, ObjectId,
-    PlaneBasis, Reconstruction,
+    Frame, FrameId, GroundPlane, GroundPosition, GroundTrack, Image, NoContact, ObjectId, PlaneBasis, Reconstruction,
 };
 
 /// Fewest positions of a track: fewer have no smooth path, so that nothing tells a position from a mistake.
@@ -121,20 +120,12 @@ pub fn ground_track(
     let body = BodyOnGround::of(&evidence.stands(id, &found), Body::of_class(&class));
     let Contacts { positions, ground, omitted, apparent_sizes } = found;
     let track = GroundTrack {
-        id,
-        class,
-        confidence,
-        method: GroundTrackMethod::GroundContact,
         reason,
-        verdict: None,
         ground,
         omitted,
         apparent_size: apparent_sizes.map(|all| median(all).unwrap_or_default()),
-        apparent_size_m: None,
-        dimensions: None,
-        axis_deg: None,
-        travel: None,
         positions,
+        ..GroundTrack::new(id, class, confidence)
     };
     if track.positions.len() < MIN_POSITIONS {
         let found = track.positions.len();

@@ -12,8 +12,8 @@ use crate::math::{median, quantile};
 use crate::metric::ObservedPoint;
 use crate::pipeline::driver::run::Outcome;
 use crate::scene::{
-    Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, Motion, Movement, ObjectId, TimeBase,
-    Topic,
+    Dimensions, Estimate, GroundPosition, GroundTrack, GroundTrackTrust, GroundTrackVerdict, Motion, Movement,
+    ObjectId, TimeBase, Topic,
 };
 use crate::trajectory::{BodyOnGround, CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 
@@ -111,7 +111,8 @@ impl Placing<'_> {
         let verdict = verdict(distance_std, displacement_by_focal(track), worst);
         // Where positions jump, the mask is not that of one vehicle.
         if scale == Scale::Known && verdict.state != GroundTrackTrust::Inconsistent {
-            track.dimensions = Some(Size::of_body(&body, distance_std).in_metres(self.frame));
+            let size = Size::of_body(&body, distance_std).in_metres(self.frame);
+            track.dimensions = Some(size).filter(|size| *size != Dimensions::default());
             track.axis_deg = body.axis.map(|axis| self.axis_deg(axis));
         }
         track.verdict = Some(verdict);
@@ -224,7 +225,7 @@ fn verdict(distance_std: f64, displacement_std: Option<f64>, worst: Option<f64>)
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::{ContactError, FrameId, GroundTrackMethod};
+    use crate::scene::{ContactError, FrameId};
 
     #[test]
     fn sizes_of_no_vehicle_are_impossible() {
@@ -273,20 +274,9 @@ mod tests {
         };
         let share = |path: f64| {
             displacement_by_focal(&GroundTrack {
-                id: ObjectId(1),
-                class: String::new(),
-                confidence: 0.5,
-                method: GroundTrackMethod::GroundContact,
-                reason: String::new(),
-                verdict: None,
-                ground: BTreeMap::new(),
-                omitted: BTreeMap::new(),
                 apparent_size: [4.0, 2.0],
-                apparent_size_m: None,
-                dimensions: None,
-                axis_deg: None,
-                travel: None,
                 positions: vec![position(1.0, -0.5), position(1.0 + path, 0.75 * path - 0.5)],
+                ..GroundTrack::new(ObjectId(1), "car", 0.5)
             })
         };
         assert!((share(20.0).unwrap() - 0.75).abs() < 1e-12);

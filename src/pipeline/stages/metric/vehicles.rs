@@ -160,6 +160,8 @@ fn common_distance_std(track: &GroundTrack, background: &Reconstruction) -> Opti
     median(track.positions.iter().filter_map(share).collect())
 }
 
+/// Dimensions of a vehicle on the ground; none where its class has no usual ones.
+///
 /// * `ratio_std` – common standard deviation of the dimensions, as a share of them.
 fn extents_on_ground(track: &GroundTrack, body: &BodyOnGround, ratio_std: f64) -> Vec<Extent> {
     let Some(class) = VehicleClass::from_label(&track.class) else { return Vec::new() };
@@ -171,7 +173,9 @@ fn extents_on_ground(track: &GroundTrack, body: &BodyOnGround, ratio_std: f64) -
     dimensions.filter_map(extent).collect()
 }
 
-/// The same of vehicles on the ground, and of their trajectories.
+/// Calls every bus or truck on the ground that has the size of a car a car, and its trajectory, too.
+///
+/// * `known` – as for [`doubt_sizes`].
 pub(super) fn correct_classes_on_ground(
     tracks: &mut [GroundTrack],
     objects: &mut [ObjectTrajectory],
@@ -316,9 +320,7 @@ fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> V
 mod tests {
     use super::*;
     use crate::math::Rigid3;
-    use crate::scene::{
-        CameraId, ContactError, FrameId, GroundTrackMethod, Image, ImageId, ScaleMethod, ScaleSupport, Unit, Verdict,
-    };
+    use crate::scene::{CameraId, ContactError, FrameId, Image, ImageId, ScaleMethod, ScaleSupport, Unit, Verdict};
 
     fn sizes() -> BTreeMap<ObjectId, Size> {
         let length = Some(Estimate { value: 2.0, std: 0.02 });
@@ -416,22 +418,7 @@ mod tests {
             let error = ContactError { common: [0.0, 0.0, common], ..ContactError::default() };
             let (frame, position) = (FrameId(0), [0.0, 0.0, 10.0]);
             let at = GroundPosition { frame, name: "0.jpg".into(), time_s: 0.0, position, error, metric: None };
-            GroundTrack {
-                id: ObjectId(id),
-                class: class.into(),
-                confidence: 0.5,
-                method: GroundTrackMethod::GroundContact,
-                reason: String::new(),
-                verdict: None,
-                ground: BTreeMap::new(),
-                omitted: BTreeMap::new(),
-                apparent_size: [1.0; 2],
-                apparent_size_m: None,
-                dimensions: None,
-                axis_deg: None,
-                travel: None,
-                positions: vec![at],
-            }
+            GroundTrack { positions: vec![at], ..GroundTrack::new(ObjectId(id), class, 0.5) }
         };
         let extent = |units: f64| Some(Estimate { value: units, std: 0.05 * units });
         let body = |factor: f64| BodyOnGround {

@@ -192,9 +192,7 @@ fn by_ground_track(
 mod tests {
     use super::*;
     use crate::math::Sim3;
-    use crate::scene::{
-        ContactError, Finding, GroundTrackMethod, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Verdict,
-    };
+    use crate::scene::{ContactError, Finding, Reason, ReasonKind, ScaleEstimate, ScaleMethod, Verdict};
 
     fn trajectory(state: Trust) -> ObjectTrajectory {
         ObjectTrajectory {
@@ -204,22 +202,7 @@ mod tests {
     }
 
     fn track(reason: &str) -> GroundTrack {
-        GroundTrack {
-            id: ObjectId(1),
-            class: "car".to_owned(),
-            confidence: 1.0,
-            method: GroundTrackMethod::GroundContact,
-            reason: reason.to_owned(),
-            verdict: None,
-            ground: BTreeMap::new(),
-            omitted: BTreeMap::new(),
-            apparent_size: [0.0; 2],
-            apparent_size_m: None,
-            dimensions: None,
-            axis_deg: None,
-            travel: None,
-            positions: Vec::new(),
-        }
+        GroundTrack { reason: reason.to_owned(), ..GroundTrack::new(ObjectId(1), "car", 1.0) }
     }
 
     #[test]
