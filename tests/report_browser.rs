@@ -3,11 +3,14 @@
 //! Where no Chromium is installed the tests say so and pass, unless `TRACTRIX_REQUIRE_BROWSER=1`: then they fail.
 //! `TRACTRIX_REPORT_DIR` names a folder that keeps pages and screenshots, to look at.
 
+#[path = "common/browser.rs"]
+mod browser;
+
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
 use std::sync::LazyLock;
 
+use browser::Browser;
 use image::RgbImage;
 use tractrix::eval::Evaluation;
 use tractrix::report::{
@@ -24,40 +27,11 @@ const HOSTILE: &str = "<script>console.error('injected')</script>.mp4";
 static EVALUATION: LazyLock<Evaluation> =
     LazyLock::new(|| serde_json::from_str(include_str!("golden/evaluation.json")).expect("it is an evaluation"));
 
-/// Chromium, if there is one.
-fn browser() -> Option<PathBuf> {
-    let names = ["chromium", "chromium-browser", "google-chrome"];
-    let folders: Vec<_> = std::env::split_paths(&std::env::var_os("PATH").unwrap_or_default()).collect();
-    let found = names.iter().flat_map(|n| folders.iter().map(move |f| f.join(n))).find(|p| p.is_file());
-    if found.is_none() {
-        let message = "no Chromium found: apt-get install chromium";
-        assert!(std::env::var_os("TRACTRIX_REQUIRE_BROWSER").is_none_or(|v| v != "1"), "{message}");
-        eprintln!("skipped: {message}");
-    }
-    found
-}
-
-/// Runs the browser once with an empty profile; its standard output and its log.
-fn run(browser: &Path, arguments: &[&str], page: &Path, fragment: &str) -> (String, String) {
-    let profile = tempfile::tempdir().expect("a temporary folder");
-    let output = Command::new(browser)
-        .args(["--headless=new", "--no-sandbox", "--no-first-run", "--disable-extensions", "--hide-scrollbars"])
-        .args(["--disable-background-networking", "--disable-dev-shm-usage", "--enable-logging=stderr"])
-        .arg(format!("--user-data-dir={}", profile.path().display()))
-        // Virtual time runs on while a busy machine decodes pictures and draws the first frames: there must be plenty
-        // of it.
-        .args(["--virtual-time-budget=60000", "--timeout=120000"])
-        .args(arguments)
-        .arg(format!("file://{}{fragment}", page.display()))
-        .stdin(Stdio::null())
-        .output()
-        .expect("the browser starts");
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (text(&output.stdout), text(&output.stderr))
-}
-
 const WITH_WEBGL: [&str; 3] = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"];
 const WITHOUT_WEBGL: [&str; 2] = ["--disable-gpu", "--disable-3d-apis"];
+
+/// Size of the window in pixels where a test needs no other.
+const SIZE: [u32; 2] = [1400, 1000];
 
 /// Where pages and pictures go; the guard keeps a temporary folder alive.
 fn folder() -> (PathBuf, Option<tempfile::TempDir>) {
@@ -69,36 +43,9 @@ fn folder() -> (PathBuf, Option<tempfile::TempDir>) {
     (guard.path().to_owned(), Some(guard))
 }
 
-/// How often a page is opened that was not ready when virtual time was over.
-const ATTEMPTS: usize = 8;
-
-/// The document once its page is ready, and the browser's log.
-fn loaded(browser: &Path, flags: &[&str], page: &Path) -> (String, String) {
-    let arguments: Vec<&str> = flags.iter().copied().chain(["--dump-dom"]).collect();
-    let mut found = run(browser, &arguments, page, "");
-    for _ in 1..ATTEMPTS {
-        if attribute(&found.0, "data-ready") == Some("true") {
-            break;
-        }
-        found = run(browser, &arguments, page, "");
-    }
-    found
-}
-
-fn screenshot(browser: &Path, page: &Path, fragment: &str, size: (u32, u32), name: &str) -> RgbImage {
-    let file = page.with_file_name(name);
-    let window = format!("--window-size={},{}", size.0, size.1);
-    let target = format!("--screenshot={}", file.display());
-    let mut arguments = WITH_WEBGL.to_vec();
-    arguments.extend([window.as_str(), target.as_str()]);
-    let (_, log) = run(browser, &arguments, page, fragment);
-    image::open(&file).unwrap_or_else(|e| panic!("no screenshot: {e}\n{log}")).to_rgb8()
-}
-
-/// The page's own list of errors and what it says of itself.
-fn attribute<'a>(document: &'a str, name: &str) -> Option<&'a str> {
-    let head = document.split_once("<head")?.0;
-    Some(head.split_once(&format!("{name}=\""))?.1.split_once('"')?.0)
+/// What the page says of itself in an attribute of its root.
+fn attribute(page: &mut Browser, name: &str) -> String {
+    page.find(&format!("return document.documentElement.dataset.{name} ?? '';"))
 }
 
 /// Film, strip and portraits of every frame.
@@ -219,7 +166,7 @@ fn coloured(picture: &RgbImage, colour: [u8; 3]) -> (usize, [u32; 4]) {
 
 #[test]
 fn the_page_runs_without_errors_and_shows_the_trajectory() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let (folder, _guard) = folder();
     let result = showcase(60, 1);
     let page = folder.join("report.html");
@@ -227,22 +174,18 @@ fn the_page_runs_without_errors_and_shows_the_trajectory() {
     let size = std::fs::metadata(&page).expect("it is there").len();
     assert!(size < 6 << 20, "{size} bytes");
 
-    let (document, log) = loaded(&browser, &WITH_WEBGL, &page);
-    assert_eq!(attribute(&document, "data-ready"), Some("true"), "{log}");
-    assert_eq!(attribute(&document, "data-renderer"), Some("webgl"), "{log}");
-    assert_eq!(attribute(&document, "data-errors"), None, "{log}");
-    assert!(!log.contains("CONSOLE"), "{log}");
+    let mut opened = Browser::open(&browser, &WITH_WEBGL, &page, "", SIZE);
+    assert_eq!(attribute(&mut opened, "renderer"), "webgl");
+    assert_eq!(attribute(&mut opened, "errors"), "");
+    assert_eq!(opened.messages, [""; 0]);
 
     // The strip's pictures carry the masks' colours, so this page has none.
     let bare = folder.join("bare.html");
     write(&bare, &data(&result, Pictures::default()));
-    // A picture cannot say whether its page was ready: one that has too little of the car is taken again.
-    let shoot = || {
-        let picture = screenshot(&browser, &bare, "#full&theme=dark", (1400, 1000), "bare.png");
-        coloured(&picture, object_colour(CAR))
-    };
-    let mut shots = (0..ATTEMPTS).map(|_| shoot());
-    let (_, [x0, y0, x1, y1]) = shots.find(|(count, _)| *count > 700).expect("the car's trajectory shows");
+    let picture = Browser::open(&browser, &WITH_WEBGL, &bare, "#full&theme=dark", SIZE).screenshot();
+    picture.save(folder.join("bare.png")).expect("the picture is written");
+    let (count, [x0, y0, x1, y1]) = coloured(&picture, object_colour(CAR));
+    assert!(count > 700, "the car's trajectory has {count} pixels");
     assert!(x1 - x0 > 300 && y1 - y0 > 100, "they span {x0}..{x1} × {y0}..{y1}");
 }
 
@@ -251,77 +194,53 @@ const NOTHING: [u8; 3] = [0xe9, 0xed, 0xf1];
 
 #[test]
 fn the_view_through_a_narrow_camera_has_its_picture() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let (folder, _guard) = folder();
     let mut result = showcase(30, 1);
     // A field of view of 33°: a dashcam on a road, a drone with a long lens.
     result.background.cameras.values_mut().for_each(|camera| camera.focal = [1600.0; 2]);
     let page = folder.join("narrow.html");
     write(&page, &data(&result, Pictures { film: None, ..pictures(&result) }));
-    let shoot = || {
-        let picture = screenshot(&browser, &page, "#view=camera&full&theme=light", (1400, 1000), "narrow.png");
-        // Between the controls above and below.
-        let middle = image::imageops::crop_imm(&picture, 400, 200, 600, 500).to_image();
-        coloured(&middle, NOTHING).0
-    };
-    let empty = (0..ATTEMPTS).map(|_| shoot()).find(|count| *count < 30_000);
-    assert!(empty.is_some(), "the middle of the view has no picture");
+    let picture = Browser::open(&browser, &WITH_WEBGL, &page, "#view=camera&full&theme=light", SIZE).screenshot();
+    picture.save(folder.join("narrow.png")).expect("the picture is written");
+    // Between the controls above and below.
+    let middle = image::imageops::crop_imm(&picture, 400, 200, 600, 500).to_image();
+    let (empty, _) = coloured(&middle, NOTHING);
+    assert!(empty < 30_000, "the middle of the view has no picture: {empty} pixels are empty");
 }
 
 #[test]
 fn without_webgl_the_page_says_so_and_shows_the_top_view() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let (folder, _guard) = folder();
     let result = showcase(60, 1);
     let page = folder.join("plan.html");
     write(&page, &data(&result, Pictures::default()));
-    let (document, log) = loaded(&browser, &WITHOUT_WEBGL, &page);
-    assert_eq!(attribute(&document, "data-ready"), Some("true"), "{log}");
-    assert_eq!(attribute(&document, "data-renderer"), Some("plan"), "{log}");
-    assert_eq!(attribute(&document, "data-errors"), None, "{log}");
-    assert!(document.contains("this browser has no WebGL"));
+    let mut opened = Browser::open(&browser, &WITHOUT_WEBGL, &page, "", SIZE);
+    assert_eq!(attribute(&mut opened, "renderer"), "plan");
+    assert_eq!(attribute(&mut opened, "errors"), "");
+    assert!(opened.find("return document.body.innerText;").contains("this browser has no WebGL"));
 }
 
-/// What a script finds on a page that is ready, in a window of some width. The script gives a text.
+/// What a script finds on a page that is ready, in a window of some width. The script returns a text.
 fn found_by(browser: &Path, page: &str, width: u32, script: &str) -> String {
     let (folder, _guard) = folder();
     let file = folder.join(format!("measured-{width}.html"));
-    // The page's own policy lets nothing run but its own scripts.
-    let (before, after) = page.split_once("<meta http-equiv=\"Content-Security-Policy\"").expect("there is a policy");
-    let after = after.split_once('>').expect("it ends").1;
-    let probe = format!(
-        "<script>const wait = setInterval(() => {{ if (!document.documentElement.dataset.ready) return; \
-         clearInterval(wait); \
-         (async () => {{ {script} }})().then((found) => {{ document.documentElement.dataset.found = found; }}); \
-         }}, 50);</script></body>"
-    );
-    std::fs::write(&file, format!("{before}{after}").replace("</body>", &probe)).expect("the page is written");
-    let window = format!("--window-size={width},1000");
-    let arguments: Vec<&str> = WITHOUT_WEBGL.into_iter().chain([window.as_str(), "--dump-dom"]).collect();
-    let mut log = String::new();
-    for _ in 0..ATTEMPTS {
-        let (document, said) = run(browser, &arguments, &file, "");
-        if let Some(found) = attribute(&document, "data-found") {
-            return found.to_owned();
-        }
-        log = said;
-    }
-    panic!("the script did not run: {log}")
+    std::fs::write(&file, page).expect("the page is written");
+    Browser::open(browser, &WITHOUT_WEBGL, &file, "", [width, SIZE[1]]).find(script)
 }
 
 const WIDTHS: [u32; 2] = [1400, 420];
 
 #[test]
 fn playing_moves_through_the_frames_and_stops() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
-    // Frames do not follow the browser's virtual time: timers do.
     let script = "const time = document.getElementById('time'), play = document.getElementById('play'); \
         const cursor = () => document.querySelector('.area .cursor').style.left; \
         time.value = 0; time.dispatchEvent(new Event('input')); \
         const before = cursor(); \
-        window.requestAnimationFrame = (show) => setTimeout(() => show(performance.now()), 16); \
         play.click(); \
         const pressed = play.getAttribute('aria-label'); \
         await new Promise((resolve) => setTimeout(resolve, 1500)); \
@@ -333,7 +252,7 @@ fn playing_moves_through_the_frames_and_stops() {
 
 #[test]
 fn models_alone_have_a_page_with_images_and_residuals() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let mut data = data(&result, pictures(&result));
     data.objects.iter_mut().for_each(|object| object.trajectory = None);
@@ -341,9 +260,9 @@ fn models_alone_have_a_page_with_images_and_residuals() {
     let (folder, _guard) = folder();
     let file = folder.join("sfm.html");
     write(&file, &data);
-    let (document, log) = loaded(&browser, &WITH_WEBGL, &file);
-    assert_eq!(attribute(&document, "data-renderer"), Some("webgl"), "{log}");
-    assert_eq!(attribute(&document, "data-errors"), None, "{log}");
+    let mut opened = Browser::open(&browser, &WITH_WEBGL, &file, "", SIZE);
+    assert_eq!(attribute(&mut opened, "renderer"), "webgl");
+    assert_eq!(attribute(&mut opened, "errors"), "");
     let page = report::render(&data).expect("the report renders");
     let script = "const fold = document.getElementById('models-title').closest('details'); \
         const rows = fold.querySelectorAll('table')[0].querySelectorAll('tbody tr').length; \
@@ -361,7 +280,7 @@ fn models_alone_have_a_page_with_images_and_residuals() {
 
 #[test]
 fn labels_of_the_time_axes_stay_on_one_line() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
     let script = "const ticks = [...document.querySelectorAll('.x-tick')]; \
@@ -375,7 +294,7 @@ fn labels_of_the_time_axes_stay_on_one_line() {
 
 #[test]
 fn no_word_of_the_figures_is_broken() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
     // The longest words that a key figure has had. A line may end after a hyphen, as in constant-distance.
@@ -399,7 +318,7 @@ fn no_word_of_the_figures_is_broken() {
 
 #[test]
 fn a_small_path_has_its_dots_at_its_ends() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let mut result = showcase(60, 1);
     for vehicle in &mut result.vehicles {
         let first = vehicle.trajectory.poses[0].position;
@@ -429,7 +348,7 @@ fn a_small_path_has_its_dots_at_its_ends() {
 
 #[test]
 fn the_table_lists_vehicles_by_trust_and_leads_to_their_details() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let mut data = data(&result, Pictures::default());
     data.objects.splice(0..0, (90..94).map(|id| without_model(&result, ObjectId(id))));
@@ -453,7 +372,7 @@ fn the_table_lists_vehicles_by_trust_and_leads_to_their_details() {
 
 #[test]
 fn the_film_follows_the_slider_and_speeds_have_units() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let pictures = pictures(&result);
     // FFmpeg without an encoder of H.264 makes no film; the page then has the strip.
@@ -479,7 +398,7 @@ fn the_film_follows_the_slider_and_speeds_have_units() {
 
 #[test]
 fn charts_can_be_moved_through_by_keys() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let result = showcase(60, 1);
     let page = report::render(&data(&result, Pictures::default())).expect("the report renders");
     let script = "document.querySelectorAll('details').forEach((fold) => { fold.open = true; }); \
@@ -497,7 +416,7 @@ fn charts_can_be_moved_through_by_keys() {
 
 #[test]
 fn without_a_rate_the_page_never_shows_a_second() {
-    let Some(browser) = browser() else { return };
+    let Some(browser) = browser::installed() else { return };
     let mut result = showcase(60, 1);
     for frame in &mut result.frames {
         frame.time_s = f64::from(frame.id.0);
