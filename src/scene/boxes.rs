@@ -96,6 +96,12 @@ impl Rect {
         Self { x0: across * self.x0, y0: down * self.y0, x1: across * self.x1, y1: down * self.y1 }
     }
 
+    /// The box at another place.
+    #[must_use]
+    pub fn moved(&self, [dx, dy]: [f64; 2]) -> Self {
+        Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
+    }
+
     /// The part of the box that lies in a picture.
     #[must_use]
     pub fn clipped(&self, width: u32, height: u32) -> Self {

@@ -233,6 +233,38 @@ fn crossing_cars_of_one_colour_keep_their_ids() {
 }
 
 #[test]
+fn a_part_of_a_vehicle_grows_to_the_whole_with_what_moves_like_it() {
+    let size = (60, 40);
+    let lorry = || Thing { size, class: Some("truck"), ..Thing::car(BLUE, |t| (10 + 3 * t as i64, 20)) };
+    // Until frame 8 motion sees a corner of the lorry alone.
+    let part =
+        |t: usize, rect: Rect| if t < 8 { Rect { x1: rect.x0 + 24.0, y1: rect.y0 + 14.0, ..rect } } else { rect };
+    let lorry_alone = World::still(vec![lorry()]);
+    let boxes = |t: usize| {
+        let found = lorry_alone.boxes(t, DetectionSource::Motion).into_iter();
+        found.map(|found| BoxDetection { rect: part(t, found.rect), confidence: 1.0, ..found }).collect()
+    };
+    for every in [1, 4] {
+        let (frames, tracks) = lorry_alone.track_boxes(30, every, boxes, &honest);
+        let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
+        assert!(followed(&lorry_alone, &frames, track, 0) >= 20, "every {every}: {tracks:#?}");
+    }
+
+    // A car over which the lorry drives is no part of it.
+    let car = Thing::car(RED, |t| (70 + t as i64, 40));
+    let world = World::still(vec![car, lorry()]);
+    let boxes = |t: usize| {
+        let both = world.boxes(t, DetectionSource::Motion).into_iter();
+        let both = both.map(|found| BoxDetection { confidence: 1.0, ..found });
+        both.filter(|found| found.rect.width() < 30.0 || t > 4).collect::<Vec<_>>()
+    };
+    let (frames, tracks) = world.track_boxes(30, 1, boxes, &honest);
+    let of_lorry = tracks.iter().map(|track| followed(&world, &frames, track, 1)).collect::<Vec<_>>();
+    let car = tracks.iter().position(|track| track.first == FrameId(0)).unwrap();
+    assert!(of_lorry[car] == 0 && of_lorry.iter().any(|frames| *frames > 20), "{of_lorry:?} {tracks:#?}");
+}
+
+#[test]
 fn one_car_overtakes_the_other() {
     for every in [1, 5] {
         let world =

@@ -9,7 +9,7 @@ use super::box_groups::{self, BoxGroup, Finding, INSIDE};
 use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
 use super::merging::is_same_size;
 use super::occlusion::Cover;
-use super::propagation::{Propagated, carry_rect};
+use super::propagation::{Propagated, carry_rect, displacement_outside};
 use super::region::Region;
 use super::track::{Moment, Prediction, Track};
 use super::tracker::{MAX_COVERED, TrackObservation, Tracker};
@@ -25,6 +25,10 @@ const MIN_CARRIED_SHARE: f64 = 0.4;
 const SAME_OUTLINE: f64 = 0.85;
 /// A new mask that swallows a followed object by more than this share is no object of its own.
 const SWALLOWED: f64 = 0.8;
+/// The rest of a vehicle moves like a part of it but for this share of the motion: it turns or comes nearer.
+const MOVES_ALIKE: f64 = 0.25;
+/// Error of a median of flow on a vehicle, pixels.
+const FLOW_ERROR_PX: f64 = 0.5;
 
 /// A frame as the tracker sees it.
 pub(super) struct FrameView<'a> {
@@ -84,7 +88,7 @@ impl Tracker {
         let mut meeting = self.meet(view, found);
         let waiting = self.waiting_now(view.flow);
         let Some(prompter) = prompter else {
-            self.associate_boxes(&mut meeting);
+            self.associate_boxes(view, &mut meeting);
             let left = meeting.left().into_iter().map(|s| meeting.sights[s].clone()).collect();
             self.waiting = box_groups::wait(waiting, left);
             return Ok(self.carry_all(view, &meeting));
@@ -94,7 +98,7 @@ impl Tracker {
         meeting.outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
         self.segment(view, prompter, &mut meeting)?;
         self.waiting.clear();
-        self.associate_boxes(&mut meeting);
+        self.associate_boxes(view, &mut meeting);
         self.count_passed_over(&meeting);
         let mut seen = self.choose(view, &meeting);
         self.look_for(view, &meeting, &mut seen);
@@ -153,7 +157,7 @@ impl Tracker {
 
     /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks. An object that is
     /// partly hidden may show all of itself again: its whole outline counts as well as what was seen of it.
-    fn associate_boxes(&self, meeting: &mut Meeting) {
+    fn associate_boxes(&self, view: &FrameView, meeting: &mut Meeting) {
         let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_some()).collect();
         let pairs = assign(rows.len(), meeting.sights.len(), |row, s| {
             let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[s]);
@@ -164,12 +168,37 @@ impl Tracker {
             let alike = |a: &Region, b: &Region| is_same_size(a.area() as f64 / b.area() as f64);
             let overlap = |a: &Region, b: &Region| if alike(a, b) { a.iou(b) } else { 0.0 };
             let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| best(&|region| overlap(&fresh.region, region)));
-            let meets = by_mask >= self.options.min_overlap || by_box >= MIN_BOX_OVERLAP;
+            let meets = by_mask >= self.options.min_overlap
+                || by_box >= MIN_BOX_OVERLAP
+                || self.is_part(rows[row], s, meeting, view);
             (meets && track.may_be(sight.class())).then_some(0.5 * (by_box + by_mask))
         });
         for (row, sight) in pairs {
             meeting.sight_of[rows[row]] = Some(sight);
         }
+    }
+
+    /// Returns true if a moving track has been following a part of the vehicle that the mask in a box shows: no other
+    /// track has anything in the box, which may start one, and the rest of the box moves like the part.
+    fn is_part(&self, track_idx: usize, sight: usize, meeting: &Meeting, view: &FrameView) -> bool {
+        let (track, sight, fresh) = (&self.tracks[track_idx], &meeting.sights[sight], &meeting.masks[sight]);
+        let (Some(carried), Some(fresh), Some(flow)) = (meeting.carried(track_idx), fresh, view.flow) else {
+            return false;
+        };
+        let is_in_it = |other: usize| {
+            let carried = meeting.carried(other);
+            carried.is_some_and(|other| box_groups::inside(&other.region.rect(), &sight.rect) > 1.0 - INSIDE)
+        };
+        let is_alone = (0..self.tracks.len()).all(|other| other == track_idx || !is_in_it(other));
+        let is_swallowed = carried.region.covered_by(&fresh.region) > SWALLOWED;
+        if !is_alone || !is_swallowed || track.stands() || !may_start(sight, &self.options) {
+            return false;
+        }
+        let [x, y] = carried.displacement;
+        let [back_x, back_y] = meeting.predictions[track_idx].background;
+        let tolerance_px = (MOVES_ALIKE * (x - back_x).hypot(y - back_y)).max(FLOW_ERROR_PX);
+        let rest = displacement_outside(&track.region, &sight.rect.moved([-x, -y]), flow);
+        rest.is_some_and(|[rest_x, rest_y]| (rest_x - x).hypot(rest_y - y) <= tolerance_px)
     }
 
     /// Carries all masks on in a frame in which none is asked for.

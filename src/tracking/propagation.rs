@@ -129,6 +129,19 @@ pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied
 
 /// A box moved by the median flow of its middle; `None` if it leaves the frame, unmoved where no flow is of use.
 pub(super) fn carry_rect(rect: &Rect, flow: &Flow) -> Option<Rect> {
+    let [dx, dy] = median_flow(&middle(rect, flow), flow).unwrap_or_default();
+    let moved = rect.moved([dx, dy]).clipped(flow.width, flow.height);
+    (moved.area_px2() >= 1.0).then_some(moved)
+}
+
+/// Median flow of the middle of a box outside a region, pixels; `None` where no flow there is of use.
+pub(super) fn displacement_outside(region: &Region, rect: &Rect, flow: &Flow) -> Option<[f64; 2]> {
+    let outside = middle(rect, flow).into_iter().filter(|&(x, y)| !region.contains(x, y));
+    median_flow(&outside.collect::<Vec<_>>(), flow)
+}
+
+/// Pixels on a grid over the middle of a box, half as wide and high, whose flow is consistent.
+fn middle(rect: &Rect, flow: &Flow) -> Vec<(u32, u32)> {
     /// Samples along each side of the middle.
     const GRID: u32 = 12;
     let at = |from: f64, length: f64, i: u32| from + length * (0.25 + 0.5 * (f64::from(i) + 0.5) / f64::from(GRID));
@@ -140,10 +153,7 @@ pub(super) fn carry_rect(rect: &Rect, flow: &Flow) -> Option<Rect> {
             samples.push((x as u32, y as u32));
         }
     }
-    let [dx, dy] = median_flow(&samples, flow).unwrap_or_default();
-    let moved = Rect { x0: rect.x0 + dx, y0: rect.y0 + dy, x1: rect.x1 + dx, y1: rect.y1 + dy };
-    let moved = moved.clipped(flow.width, flow.height);
-    (moved.area_px2() >= 1.0).then_some(moved)
+    samples
 }
 
 #[cfg(test)]

@@ -4,12 +4,13 @@
 //! to the last one: there the new mask is carried back, by the same motions the other way round. With a look in every
 //! K-th frame no mask is then carried further than K / 2 frames.
 //!
-//! An object that enters the picture is seen in part, and its carried mask stays a part: there the new mask is carried
-//! back all the way, and the border of the picture cuts it.
+//! An object that enters the picture is seen in part, and its carried mask stays a part, as does the mask of an object
+//! of which a part was found: there the new mask is carried back all the way, and the border of the picture cuts it.
 
 use std::collections::VecDeque;
 
 use super::affine::Affine;
+use super::merging::is_same_size;
 use super::propagation::Propagated;
 use super::region::Region;
 use crate::scene::{FrameId, Mask, ObjectId};
@@ -19,6 +20,9 @@ const MAX_FRAMES: usize = 40;
 /// Overlap of the mask that was carried there with the one that is carried back: below it, one of them shows something
 /// else, and the motion between is in doubt.
 const AGREEMENT: f64 = 0.6;
+
+/// A mask that the border cut and that has grown by more than this factor is one of an object that enters.
+const ENTERING: f64 = 1.15;
 
 /// A mask of an earlier frame that is better known now.
 #[derive(Clone, Debug, PartialEq)]
@@ -66,8 +70,8 @@ impl Way {
         *self = Self { first: first.cloned(), steps: VecDeque::new() };
     }
 
-    /// The masks of the frames that are nearer to a new mask than to the last one, or of all if the border cut that,
-    /// as far back as nothing hides a part of the object.
+    /// The masks of the frames that are nearer to a new mask than to the last one, or of all if that was a part of the
+    /// object, as far back as nothing hides a part of it.
     ///
     /// * `carried` – the object as it was carried into the frame of the new mask.
     pub(super) fn retraced(&self, new: &Region, carried: &Propagated, size: (u32, u32)) -> Vec<(FrameId, Region)> {
@@ -75,11 +79,14 @@ impl Way {
         if is_hidden(carried) {
             return found;
         }
-        let enters = self.first.as_ref().is_some_and(|first| is_cut(first, size)) && !is_cut(new, size);
+        let was_cut = self.first.as_ref().is_some_and(|first| is_cut(first, size));
+        let growth = new.area() as f64 / carried.region.area() as f64;
+        let enters = was_cut && (growth > ENTERING || !is_cut(new, size));
+        let was_part = enters || !is_same_size(growth);
         let agreement = |region: &Region, before: &Region| {
-            if enters { before.covered_by(region) } else { region.iou(before) }
+            if was_part { before.covered_by(region) } else { region.iou(before) }
         };
-        let num_frames = if enters { self.steps.len() } else { self.steps.len() / 2 };
+        let num_frames = if was_part { self.steps.len() } else { self.steps.len() / 2 };
         let mut motion = carried.motion.clone();
         for step in self.steps.iter().rev().take(num_frames) {
             if step.is_hidden {
@@ -176,8 +183,21 @@ mod tests {
         let expected =
             [(4, block(2, 9, 20, 10)), (3, block(0, 8, 19, 10)), (2, block(0, 7, 16, 10)), (1, block(0, 6, 13, 10))];
         assert_eq!(found, expected.map(|(frame, region)| (FrameId(frame), region)));
-        let still_cut = way.retraced(&block(0, 10, 20, 10), &carried(block(15, 10, 10, 10)), SIZE);
-        assert!(still_cut.len() <= 2);
+        let still_cut = way.retraced(&block(0, 10, 25, 10), &carried(block(15, 10, 10, 10)), SIZE);
+        let expected =
+            [(4, block(0, 9, 22, 10)), (3, block(0, 8, 19, 10)), (2, block(0, 7, 16, 10)), (1, block(0, 6, 13, 10))];
+        assert_eq!(still_cut, expected.map(|(frame, region)| (FrameId(frame), region)));
+    }
+
+    #[test]
+    fn what_was_followed_by_a_part_gets_the_whole_all_the_way() {
+        let mut way = Way::default();
+        way.begin(Some(&block(12, 12, 5, 4)));
+        for t in 1..=4 {
+            way.go(FrameId(t), &carried(block(12 + 3 * t, 12 + t, 5, 4)));
+        }
+        let found = way.retraced(&block(25, 15, 20, 10), &carried(block(27, 17, 5, 4)), SIZE);
+        assert_eq!((found.len(), &found[3]), (4, &(FrameId(1), block(13, 11, 20, 10))));
     }
 
     #[test]

@@ -305,10 +305,14 @@ impl Track {
     /// its last mask is recent.
     pub(super) fn is_at_rest(&self, now: Moment, options: &TrackerOptions) -> bool {
         let found = &self.ledger.found;
-        let stands = self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size;
         let is_seen_to_move = 100 * (found.motion + found.both) > MOVING_PERCENT * found.detected();
         let is_known = self.id.is_some() && self.num_failed == 0 && self.ledger.num_masks >= MIN_MASKS_AT_REST;
-        is_known && stands && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
+        is_known && self.stands() && !is_seen_to_move && now.time_s - self.renewed_s < options.max_rest_secs
+    }
+
+    /// Returns true if it is stationary by its flow.
+    pub(super) fn stands(&self) -> bool {
+        self.velocity[0].hypot(self.velocity[1]) <= STANDING_SIDES_PER_S * self.size
     }
 
     pub(super) fn is_lost(&self) -> bool {
