@@ -1,7 +1,7 @@
 //! Objects before they were found: followed back from their first masks.
 //!
 //! Video is decoded forward, so the frames before first masks are gathered in windows of bounded memory, each of which
-//! is gone through from its end. How far back an object is followed is bounded by its window.
+//! is gone through from its end. Windows may overlap: an object is followed back through as many frames as one holds.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::RangeInclusive;
@@ -38,17 +38,22 @@ pub(super) fn extend(
     let most = (WINDOW_BYTES / picture_bytes.max(1)).clamp(2, MAX_WINDOW);
     let windows = windows(&starts, most);
     let wanted = windows.iter().flat_map(|window| frames[window.clone()].iter().map(|frame| frame.id)).collect();
+    let place = |frame: FrameId| index.get(&frame).copied().unwrap_or_default();
     let mut flow = super::load_flow_estimator(run)?;
     let mut open = windows.into_iter().peekable();
     let mut gathered: Vec<(Frame, RgbImage)> = Vec::new();
+    let mut num_done = 0;
     images::for_each(run, Stage::Track, wanted, outcome, |frame, picture| {
-        let at = index.get(&frame.id).copied().unwrap_or_default();
-        while open.next_if(|window| *window.end() < at).is_some() {
-            gathered.clear();
-        }
+        let at = place(frame.id);
+        while open.next_if(|window| *window.end() < at).is_some() {}
+        let begin = open.peek().map_or(0, |window| *window.start());
+        gathered.retain(|(frame, _)| place(frame.id) >= begin);
         gathered.push((frame, picture));
-        if open.next_if(|window| *window.end() == at).is_some() {
-            follow_back(run, finds, folder, followed, &mut *flow, &std::mem::take(&mut gathered))?;
+        if open.peek().is_some_and(|window| *window.end() == at) {
+            let starting = followed.iter().filter(|f| (num_done..=at).contains(&place(f.summary.first)));
+            let starting: Vec<TrackSummary> = starting.map(|f| f.summary.clone()).collect();
+            follow_back(run, finds, folder, followed, &starting, &mut *flow, &gathered)?;
+            num_done = at + 1;
         }
         Ok(())
     })
@@ -63,28 +68,23 @@ fn windows(starts: &BTreeSet<usize>, most: usize) -> Vec<RangeInclusive<usize>> 
     for &start in starts.iter().filter(|start| **start > 0) {
         match windows.last_mut() {
             Some(last) if start - last.start() < most => *last = *last.start()..=start,
-            last => {
-                let free = last.map_or(0, |last| last.end() + 1);
-                windows.push((start + 1).saturating_sub(most).max(free)..=start);
-            }
+            _ => windows.push((start + 1).saturating_sub(most)..=start),
         }
     }
     windows
 }
 
-/// Goes through a window from its end.
+/// Goes through a window from its end, with the objects that start in it.
 fn follow_back(
     run: &Run,
     finds: &mut Finds,
     folder: &Path,
     followed: &mut [Followed],
+    starting: &[TrackSummary],
     flow: &mut dyn FlowEstimator,
     window: &[(Frame, RgbImage)],
 ) -> Result<()> {
-    let ids: BTreeSet<FrameId> = window.iter().map(|(frame, _)| frame.id).collect();
-    let starting = followed.iter().filter(|f| ids.contains(&f.summary.first)).map(|f| f.summary.clone());
-    let starting: Vec<TrackSummary> = starting.collect();
-    let mut tracker = BackwardTracker::new(finds.tracker_options(run), &starting);
+    let mut tracker = BackwardTracker::new(finds.tracker_options(run), starting);
     let mut found: Vec<(Frame, TrackedMask)> = Vec::new();
     let mut later: Option<&RgbImage> = None;
     for (frame, picture) in window.iter().rev() {
@@ -134,9 +134,9 @@ mod tests {
         assert_eq!(of(&[0], 10), []);
         assert_eq!(of(&[0, 4], 10), [0..=4]);
         assert_eq!(of(&[30], 10), [21..=30]);
-        // What starts within a window shares it; the next one begins behind it.
-        assert_eq!(of(&[12, 15, 40], 30), [0..=15, 16..=40]);
-        assert_eq!(of(&[30, 35], 10), [21..=30, 31..=35]);
+        // What starts within a window shares it; the next one may overlap it.
+        assert_eq!(of(&[12, 15, 40], 30), [0..=15, 11..=40]);
+        assert_eq!(of(&[30, 35], 10), [21..=30, 26..=35]);
         assert!(of(&[5, 9, 30, 31, 77], 8).iter().all(|window| window.end() - window.start() < 8));
     }
 }
