@@ -21,9 +21,6 @@ const MAX_FRAMES: usize = 40;
 /// else, and the motion between is in doubt.
 const AGREEMENT: f64 = 0.6;
 
-/// A mask that the border cut and that has grown by more than this factor is one of an object that enters.
-const ENTERING: f64 = 1.15;
-
 /// A mask of an earlier frame that is better known now.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Correction {
@@ -79,10 +76,9 @@ impl Way {
         if is_hidden(carried) {
             return found;
         }
-        let was_cut = self.first.as_ref().is_some_and(|first| is_cut(first, size));
-        let growth = new.area() as f64 / carried.region.area() as f64;
-        let enters = was_cut && (growth > ENTERING || !is_cut(new, size));
-        let was_part = enters || !is_same_size(growth);
+        // What leaves is still cut where it is carried to.
+        let enters = self.first.as_ref().is_some_and(|first| is_cut(first, size)) && !is_cut(&carried.region, size);
+        let was_part = enters || !is_same_size(new.area() as f64 / carried.region.area() as f64);
         let agreement = |region: &Region, before: &Region| {
             if was_part { before.covered_by(region) } else { region.iou(before) }
         };
@@ -187,6 +183,13 @@ mod tests {
         let expected =
             [(4, block(0, 9, 22, 10)), (3, block(0, 8, 19, 10)), (2, block(0, 7, 16, 10)), (1, block(0, 6, 13, 10))];
         assert_eq!(still_cut, expected.map(|(frame, region)| (FrameId(frame), region)));
+        // A vehicle that leaves through the left border: a mask that is too large goes back half of the way at most.
+        let mut way = Way::default();
+        way.begin(Some(&block(0, 5, 20, 10)));
+        for t in 1..=4 {
+            way.go(FrameId(t), &carried(block(0, 5 + t, 20 - 3 * t, 10)));
+        }
+        assert!(way.retraced(&block(0, 10, 9, 10), &carried(block(0, 10, 5, 10)), SIZE).len() <= 2);
     }
 
     #[test]
