@@ -13,7 +13,7 @@
 //! - *Segmentation* (`prompting.rs`): the mask of every box is requested, and of every carried mask that no box
 //!   repeats: a track lives on where the detector is blind.
 //! - *Association* (`boxes.rs`, `assignment.rs`): masks and boxes meet the tracks by overlap (Hungarian algorithm),
-//!   lost ones by place and appearance.
+//!   tracks of a part of a vehicle by the motion of the rest, lost ones by place and appearance.
 //! - *Update* (`choice.rs`, `track.rs`): of the new masks and the carried one an object gets the one that fits its
 //!   size, colours, place and box best. No two objects get the same. A mask may fail twice in a row; then the object
 //!   is lost once its mask is older than `MAX_CARRIED` frames. A new mask is carried back to the

@@ -14,6 +14,8 @@ use tungstenite::{Message, WebSocket};
 /// Longest wait for an answer or a page: far more than any machine needs.
 const PATIENCE: Duration = Duration::from_secs(120);
 const POLL: Duration = Duration::from_millis(50);
+/// The browser's own messages, in its profile.
+const LOG: &str = "log";
 
 /// Chromium, if there is one.
 pub fn installed() -> Option<PathBuf> {
@@ -43,7 +45,7 @@ impl Browser {
     /// Opens a page in a window of `size` pixels and waits until it is ready (`data-ready` of its root).
     pub fn open(program: &Path, flags: &[&str], page: &Path, fragment: &str, size: [u32; 2]) -> Self {
         let profile = tempfile::tempdir().expect("a temporary folder");
-        let log = std::fs::File::create(profile.path().join("log")).expect("the log can be written");
+        let log = std::fs::File::create(profile.path().join(LOG)).expect("the log can be written");
         let process = Command::new(program)
             .args(["--headless=new", "--no-sandbox", "--no-first-run", "--disable-extensions", "--hide-scrollbars"])
             .args(["--disable-background-networking", "--disable-dev-shm-usage", "--remote-debugging-port=0"])
@@ -116,7 +118,7 @@ impl Browser {
     }
 
     fn log(&self) -> String {
-        std::fs::read_to_string(self.profile.path().join("log")).unwrap_or_default()
+        log_in(self.profile.path())
     }
 }
 
@@ -129,6 +131,10 @@ impl Drop for Browser {
         }
         _ = self.process.wait();
     }
+}
+
+fn log_in(profile: &Path) -> String {
+    std::fs::read_to_string(profile.join(LOG)).unwrap_or_default()
 }
 
 /// A connection to the browser, which writes its port and address into its profile once it listens.
@@ -144,8 +150,7 @@ fn connect(profile: &Path) -> WebSocket<TcpStream> {
             stream.set_read_timeout(Some(PATIENCE)).expect("a time limit can be set");
             return tungstenite::client(format!("ws://{host}{path}"), stream).expect("the browser answers").0;
         }
-        let log = || std::fs::read_to_string(profile.join("log")).unwrap_or_default();
-        assert!(start.elapsed() < PATIENCE, "the browser did not start\n{}", log());
+        assert!(start.elapsed() < PATIENCE, "the browser did not start\n{}", log_in(profile));
         std::thread::sleep(POLL);
     }
 }

@@ -14,7 +14,7 @@ impl Local {
     pub(super) fn rect(&self) -> Option<Rect> {
         let inner = Rect::from(self.mask.bounding_box()?);
         let [x, y] = [self.window.x0, self.window.y0].map(f64::from);
-        Some(Rect { x0: inner.x0 + x, y0: inner.y0 + y, x1: inner.x1 + x, y1: inner.y1 + y })
+        Some(inner.moved([x, y]))
     }
 
     /// The same pixels in the whole frame.
