@@ -2,7 +2,7 @@
 """Inputs of hovering sequences (logs and map points with noise), and errors of a run and of a homography.
 
 ``inputs`` writes a log of a drone (video.SRT) and points of a map (points.geojson) of a sequence, with errors of their
-kind by a seed. ``compare`` states the errors of a run's positions, those of parked cars apart, and of a homography from
+kind by a seed. ``compare`` states the errors of a run's ground tracks, parked cars apart, and of a homography from
 the image to four and more points of the map with frames registered to the first one, at the middles of the same masks
 (geo-trax's way).
 ``recall`` states in how many frames a run has masks of the driven vehicles. ``plane`` states the error of the ground's
@@ -160,49 +160,16 @@ def by_homography(
 
 
 def compare(sequence: Path, run: Path, points: Path | None) -> None:
-    """Prints the errors of the positions of a run."""
+    """Prints the errors of the ground tracks of a run that are near a driven vehicle or a parked one."""
     truth = Truth.read(sequence)
     content = json.loads((run / "trajectories.json").read_text())
-    metric = content.get("metric") or {}
-    if metric.get("scale") is None:
-        raise SystemExit(f"{run}: no meters")
-    on_map = metric.get("origin") is not None
-    poses = images(run)
+    if (content.get("metric") or {}).get("origin") is None:
+        raise SystemExit(f"{run}: no positions on the map; run with --map-points or a log with gimbal angles")
     to_first = registered(sequence / "video.mp4", len(truth.cameras)) if points is not None else []
-    total: dict[str, list[np.ndarray]] = {"tractrix": [], "homography": []}
-    total_stds: dict[str, list[list[float]]] = {"tractrix": [], "homography": []}
-    for thing in content["objects"]:
-        names = {f["frame"]: f["name"] for f in thing["frames"]}
-        name = _truth_of(truth, thing, poses)
-        where = truth.vehicles[name]
-        ours, stds = {}, []
-        for f in thing["frames"]:
-            if on_map:
-                ours[f["frame"]] = from_map(f["longitude"], f["latitude"])
-                stds.append(f["place_std_m"][:2])
-            else:
-                ours[f["frame"]] = _in_world(truth, f, poses[f["name"]], metric["scale"])[:2]
-        kinds = {"tractrix": ours}
-        if points is not None:
-            kinds["homography"] = by_homography(to_first, run, points, thing["id"], names)
-        for kind, positions in kinds.items():
-            errors = np.array([at - where[k][:2, 3] for k, at in positions.items()])
-            total[kind].append(errors)
-            _state(f"object {thing['id']} = {name}, {kind}", errors, stds if kind == "tractrix" else [])
-            total_stds[kind].extend(stds if kind == "tractrix" else [])
-    for kind, errors in total.items():
-        if errors:
-            _state(f"all, {kind}", np.concatenate(errors), total_stds[kind])
-    if on_map:
-        compare_ground_tracks(truth, content["ground_tracks"])
-
-
-def compare_ground_tracks(truth: Truth, tracks: list[dict]) -> None:
-    """Prints the errors of the positions of ground tracks that are near a driven vehicle."""
-    total, total_stds = [], []
+    total, total_stds, total_by_homography = [], [], []
     parked = np.array([car["position"][:2] for car in truth.scene.get("parked", [])]).reshape(-1, 2)
     at_rest, at_rest_stds = [], []
-    for track in tracks:
+    for track in content["ground_tracks"]:
         places = {f["frame"]: from_map(f["longitude"], f["latitude"]) for f in track["frames"]}
         positions = np.array(list(places.values()))
         to_parked = np.linalg.norm(positions[:, None] - parked, axis=2)
@@ -220,8 +187,15 @@ def compare_ground_tracks(truth: Truth, tracks: list[dict]) -> None:
             _state(f"ground track {track['id']} = {name}", offs[name], stds)
             total.append(offs[name])
             total_stds.extend(stds)
+            if points is not None:
+                names = {f["frame"]: f["name"] for f in track["frames"]}
+                found = by_homography(to_first, run, points, track["id"], names)
+                total_by_homography.append(np.array([at - truth.vehicles[name][k][:2, 3] for k, at in found.items()]))
+                _state(f"homography {track['id']} = {name}", total_by_homography[-1], [])
     if total:
         _state("all ground tracks", np.concatenate(total), total_stds)
+    if total_by_homography:
+        _state("all by homography", np.concatenate(total_by_homography), [])
     if at_rest:
         means = [float(np.linalg.norm(errors, axis=1).mean()) for errors in at_rest]
         print("parked cars, mean error of each:", ", ".join(f"{mean:.2f}" for mean in sorted(means)))
@@ -434,21 +408,6 @@ def _in_world(truth: Truth, pose: dict, image: tuple[np.ndarray, np.ndarray], sc
     in_camera = (image[0] @ np.array(pose["position"]) + image[1]) * scale
     camera = truth.cameras[pose["frame"]]
     return camera[:3, :3] @ in_camera + camera[:3, 3]
-
-
-def _truth_of(truth: Truth, thing: dict, poses: dict[str, tuple[np.ndarray, np.ndarray]]) -> str:
-    """The vehicle in whose direction an object is."""
-
-    def angle(name: str) -> float:
-        angles = []
-        for f in thing["frames"]:
-            center = truth.cameras[f["frame"]][:3, 3]
-            seen = _in_world(truth, f, poses[f["name"]], 1.0) - center
-            true = truth.vehicles[name][f["frame"]][:3, 3] + [0, 0, MIDDLE_M] - center
-            angles.append(np.arccos(np.clip(seen @ true / np.linalg.norm(seen) / np.linalg.norm(true), -1, 1)))
-        return float(np.median(angles))
-
-    return min(truth.vehicles, key=angle)
 
 
 # What is stated of a sequence and a run, and its help.

@@ -9,8 +9,9 @@ use crate::scene::{Dimensions, GroundTrack, Movement, ObjectTrajectory, TimeBase
 
 /// One paragraph per vehicle; where a run ends before the trajectories, nothing.
 pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String {
-    let mut text = headline(summary.vehicles.len(), trajectories.objects.len());
-    text += &ground_track_count(trajectories.ground_tracks.len());
+    let num_on_ground = trajectories.ground_tracks.len();
+    let mut text = headline(summary.vehicles.len(), trajectories.objects.len(), num_on_ground);
+    text += &ground_track_count(num_on_ground);
     text += "\n";
     for (&id, vehicle) in &summary.vehicles {
         // Writing to a string cannot fail.
@@ -31,10 +32,11 @@ pub(super) fn as_text(summary: &Summary, trajectories: &Trajectories) -> String 
     text
 }
 
-fn headline(num_vehicles: usize, num_placed: usize) -> String {
+fn headline(num_vehicles: usize, num_placed: usize, num_on_ground: usize) -> String {
     let vehicles = counted(num_vehicles, "vehicle");
     match num_placed {
         _ if num_vehicles == 0 => "no vehicle".to_owned(),
+        0 if num_on_ground > 0 => vehicles,
         0 if num_vehicles == 1 => format!("{vehicles}, no trajectory"),
         0 => format!("{vehicles}, no trajectories"),
         all if all == num_vehicles => {
@@ -117,7 +119,7 @@ fn doubts(found: &ObjectTrajectory) -> Vec<&str> {
 }
 
 pub(super) fn why_not(vehicle: &Vehicle) -> &str {
-    let reason = vehicle.model.failure.as_deref().or(vehicle.not_placed.as_deref());
+    let reason = vehicle.not_placed.as_deref().or(vehicle.model.failure.as_deref());
     reason.unwrap_or("reason unknown")
 }
 
@@ -262,9 +264,9 @@ mod tests {
         assert_eq!(doubts(&refuted), ["it is small"]);
         let unjudged = ObjectTrajectory { verdict: None, ..trajectory(1) };
         assert!(sureness(&unjudged).starts_with("not judged"));
-        assert_eq!(headline(0, 0), "no vehicle");
+        assert_eq!((headline(0, 0, 0).as_str(), headline(3, 0, 2).as_str()), ("no vehicle", "3 vehicles"));
         assert_eq!(
-            (headline(2, 2).as_str(), headline(3, 0).as_str()),
+            (headline(2, 2, 0).as_str(), headline(3, 0, 0).as_str()),
             ("2 vehicles with trajectories", "3 vehicles, no trajectories")
         );
     }

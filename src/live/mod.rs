@@ -215,7 +215,9 @@ impl Live<'_> {
         }
         self.take_results(Wait::No)?;
         self.vehicles.push(&frame, at, seen, identities);
-        self.vehicles.track_points(&frame, &picture, &masks, self.window.camera())?;
+        if !self.map.as_ref().is_some_and(|map| map.hovers()) {
+            self.vehicles.track_points(&frame, &picture, &masks, self.window.camera())?;
+        }
         self.window.push(&frame, &picture, &background)?;
         let image = self.map.as_deref().and_then(|map| self.window.register(map));
         let tracked = Instant::now();

@@ -157,7 +157,7 @@ impl Vehicles {
         };
         Request {
             map: map.clone(),
-            subjects: self.vehicles.iter().filter_map(subject).collect(),
+            subjects: self.vehicles.iter().filter(|_| !map.hovers()).filter_map(subject).collect(),
             outlines: self.outlines.clone(),
             frames: self.frames.values().cloned().collect(),
         }

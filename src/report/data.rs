@@ -92,13 +92,9 @@ pub struct Object<'a> {
 }
 
 impl<'a> Object<'a> {
-    /// The ground track, where it is the answer: there is no trajectory, or one that is rejected or less certain.
+    /// The ground track, where it is the answer: there is no trajectory, or one that is rejected.
     pub(super) fn answering_track(&self) -> Option<&'a GroundTrack> {
-        let is_worse = |trajectory: &ObjectTrajectory| {
-            trajectory.is_ruled_out()
-                || trajectory.verdict.as_ref().is_some_and(|found| found.by_ground_track().is_some())
-        };
-        self.ground_track.filter(|_| self.trajectory.is_none_or(is_worse))
+        self.ground_track.filter(|_| self.trajectory.is_none_or(ObjectTrajectory::is_ruled_out))
     }
 }
 

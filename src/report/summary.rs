@@ -26,8 +26,13 @@ pub(super) fn sentence(data: &Data) -> String {
     let seen = data.objects.len();
     let ground = data.objects.iter().filter(|o| o.ground_track.is_some()).count();
     let on_ground = if ground == 0 { String::new() } else { format!(" Ground tracks without a 3D model: {ground}.") };
-    if found == 0 {
-        return format!("Reconstructed: {camera}; no trajectory of {}.{on_ground}", count(seen, "vehicle"));
+    match (found, ground) {
+        (0, 0) => return format!("Reconstructed: {camera}; no trajectory of {}.", count(seen, "vehicle")),
+        (0, _) => {
+            let of_all = format!("ground tracks of {ground} of {}", count(seen, "vehicle"));
+            return format!("Reconstructed: {camera}, and {of_all}, without 3D models.");
+        }
+        _ => {}
     }
     let vehicles = match (found, seen) {
         (1, 1) => "the 3D trajectory of the vehicle".to_owned(),

@@ -51,8 +51,6 @@ pub enum ReasonKind {
     Speed,
     /// Drivability of its trajectory.
     Path,
-    /// Its footprint on the ground, below a camera that does not translate.
-    GroundTrack,
 }
 
 /// Outcome of one check.
@@ -117,11 +115,6 @@ impl Verdict {
     /// an uncertainty, and no complaint.
     pub fn complaints(&self) -> impl Iterator<Item = &Reason> {
         self.against().filter(|reason| reason.kind != ReasonKind::Deviation || reason.weight >= 1.0)
-    }
-
-    /// Evidence of the ground track against the trajectory.
-    pub fn by_ground_track(&self) -> Option<&Reason> {
-        self.against().find(|reason| reason.kind == ReasonKind::GroundTrack)
     }
 
     /// Returns true if a reason rules the trajectory out.

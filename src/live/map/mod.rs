@@ -135,6 +135,11 @@ impl WorldMap {
         }
     }
 
+    /// Returns true for a camera that does not translate: vehicles are followed on the ground, without a model.
+    pub(super) fn hovers(&self) -> bool {
+        self.ground.hovering.is_some()
+    }
+
     /// A point of the map on the ellipsoid.
     pub(super) fn geo(&self, observed: &ObservedPoint) -> Option<GeoPosition> {
         Some(self.georeference.as_ref()?.position(observed, self.line.drift_std.powi(2)))

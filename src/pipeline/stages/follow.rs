@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use serde_json::{Value, json};
 
 use super::features::tracks_of;
-use super::track;
+use super::{background, track};
 use crate::features::{FrontEnd, TrackTable};
 use crate::image::Picture;
 use crate::pipeline::driver::intermediate;
@@ -34,13 +34,16 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
     let camera = cameras::first(run)?.camera;
     let (_, sfm_options) = order::sfm_options(run)?;
     let options = run.options;
-    let wanted = objects.iter().filter(|object| object.left_out.is_none()).map(|object| object.id);
+    // Models are made only where the camera translates.
+    let with_model = objects.iter().filter(|object| object.left_out.is_none() && !background::hovers(run));
+    let wanted = with_model.map(|object| object.id);
     let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));
     let mut front_ends: BTreeMap<ObjectId, FrontEnd> =
         wanted.map(|id| (id, FrontEnd::new(&sfm_options.front_end, camera))).collect();
 
     let frames = run.frames()?;
-    let visible = frames.iter().filter(|frame| objects.iter().any(|object| object.is_visible_in(frame.id)));
+    let followed = || objects.iter().filter(|object| front_ends.contains_key(&object.id));
+    let visible = frames.iter().filter(|frame| followed().any(|object| object.is_visible_in(frame.id)));
     let visible = visible.map(|frame| frame.id).collect();
     images::for_each(run, Stage::Follow, visible, outcome, |frame, picture| {
         let picture = Picture::new(&picture);

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
-use super::objects;
+use super::{background, objects, track};
 use crate::ground::{
     BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, StatedTilt, TiltContradiction, dominant_plane_points,
     find_mount, label_points,
@@ -16,10 +16,12 @@ use crate::networks::{GroundSegmenter, load_ground_segmenter};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
-use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::of_networks;
+use crate::pipeline::inputs::{hovering, images};
 use crate::pipeline::{GroundLabels, Options, Result, Stage};
-use crate::scene::{Frame, FrameId, Ground, GroundSource, LabelMap, Point3dId, Reconstruction, Topic, Warning};
+use crate::scene::{
+    Frame, FrameId, Ground, GroundSource, LabelMap, Movement, ObjectId, Point3dId, Reconstruction, Rect, Topic, Warning,
+};
 
 /// The name of the sources of planes, for vehicles whose planes are wanted later.
 const SOURCES: &str = "ground-sources.json";
@@ -38,6 +40,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     Ok(json!({
         "labels": labels,
         "options": run.options.ground,
+        "hovering": background::hovers(run).then(|| hovering::cache_key(run)).transpose()?,
         "shape": body_shape(run.options),
         "seed": run.options.seed,
     }))
@@ -150,7 +153,7 @@ impl GroundResults {
 /// Every source of the chain, for the whole place.
 fn find(run: &Run, background: &Reconstruction, fingerprint: &str, outcome: &mut Outcome) -> Result<GroundResults> {
     if background.points.is_empty() {
-        let hovering = objects::hovering_ground(run)?;
+        let hovering = hovering_ground(run, background)?;
         match &hovering {
             None => {
                 let text = "no ground found: the camera does not translate, and neither straight lines nor the sizes \
@@ -185,6 +188,25 @@ fn find(run: &Run, background: &Reconstruction, fingerprint: &str, outcome: &mut
         Err(reason) => tracing::debug!("camera mount not assumed: {reason}"),
     }
     Ok(GroundResults { labelled, dominant, mount: mount.ok(), hovering: None })
+}
+
+/// The ground below a camera that does not translate; `None` where nothing shows it.
+fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<HoveringGround>> {
+    // Where vehicles that stand point to is unknown.
+    let mut tracked = run.workspace.read_tracked()?;
+    tracked.retain(|object| object.movement.state == Movement::Moving);
+    let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, Rect>> = BTreeMap::new();
+    for frame in run.frames()? {
+        for (id, mask) in track::masks_of(run, &tracked, frame)? {
+            let whole = mask.bounding_box().filter(|bounds| !bounds.touches_border(mask.width(), mask.height()));
+            let Some(bounds) = whole else { continue };
+            vehicles.entry(id).or_default().insert(frame.id, bounds.into());
+        }
+    }
+    let vehicles: Vec<_> = vehicles.into_values().collect();
+    let tilts = hovering::tilts(run, background, background::normal_by_lines(run).as_ref())?;
+    let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
+    Ok(crate::ground::hovering_ground(background, &vehicles, tilts, focal_std))
 }
 
 fn contradiction(found: &TiltContradiction) -> Warning {

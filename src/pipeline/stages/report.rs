@@ -194,7 +194,7 @@ fn objects<'a>(
             trajectory,
             ground_track: trajectories.ground_track(tracked.id),
             ratio_per_frame: models.get(&tracked.id).map(|model| ratios(tracked.id, model)).unwrap_or_default(),
-            failure: failure.or_else(|| failures.get(&tracked.id).cloned()),
+            failure: failures.get(&tracked.id).cloned().or(failure),
         }
     };
     tracked.iter().map(object).collect()

@@ -27,7 +27,6 @@ use crate::trajectory::{
     self, Adjustment, BodyOnGround, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription,
     Outlines, PlacedObject, Silhouette, Subject, extents,
 };
-use ground_tracks::Followed;
 use movement::TrajectoryEvidence;
 
 /// The name of the trajectories as this stage leaves them, in units of the background.
@@ -70,16 +69,18 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     }
     outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
-    let mut objects = with_verdicts(found.placed, verdicts, outcome);
-    ground_tracks::judge(&scene, &mut objects, &found.followed, outcome);
-    let placed = ground_tracks::Placed {
-        tracked: &tracked,
-        objects: &objects,
-        reports: &reports,
-        failures: &found.failures,
-        followed: found.followed,
-    };
-    let ground_tracks = ground_tracks::find(&scene, placed, &mut found.results.bodies, outcome)?;
+    let objects = with_verdicts(found.placed, verdicts, outcome);
+    let placed =
+        ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures: &found.failures };
+    let (ground_tracks, without) = ground_tracks::find(&scene, &placed, &mut found.results.bodies);
+    if !without.is_empty() {
+        outcome.figure("without_ground_track", json!(without));
+    }
+    for (id, reason) in without {
+        let no_model = || reports.get(&id).and_then(|report| report.failure.clone()).unwrap_or_default();
+        let failure = found.failures.entry(id).or_insert_with(no_model);
+        *failure += &format!("; no ground track: {reason}");
+    }
     let mut all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
     let path = run.workspace.trajectories();
     crate::io::trajectories::write(&run.workspace.state(IN_UNITS), &all)?;
@@ -123,8 +124,6 @@ struct ScaleContext {
     placed: Vec<PlacedVehicle>,
     failures: BTreeMap<ObjectId, String>,
     results: ScaleResults,
-    /// Below a camera that does not translate.
-    followed: Followed,
 }
 
 /// Results for later stages besides the trajectories, in units of the background.
@@ -245,8 +244,6 @@ impl<'a, 'r> Scene<'a, 'r> {
         let unseen = BTreeMap::new();
         let is_joint = run.options.scale.method == ScaleMethod::Joint;
         let silhouettes = self.outlines.get(&tracked.id).filter(|_| is_joint).unwrap_or(&unseen);
-        let followed = self.sources.hovering.is_some().then(|| ground_tracks::follow(self, tracked));
-        found.followed.extend(followed.map(|track| (tracked.id, track)));
         let evidence = Evidence {
             description: description(tracked),
             origin: if report.given { ModelOrigin::Given } else { ModelOrigin::Reconstructed },
@@ -378,7 +375,7 @@ pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
 }
 
-/// Why objects have no trajectory although they have a model; the stage must be done.
+/// Why objects have no trajectory although they have a model, or not even a ground track; the stage must be done.
 pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<ObjectId, String>> {
     run.workspace.read_state(FAILURES)
 }

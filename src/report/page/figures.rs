@@ -15,8 +15,17 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
         let note = format!("with a model, of {} detected", data.objects.len());
         (!data.objects.is_empty()).then(|| Fact::new("vehicles", with_model.to_string()).with_note(note))
     } else {
-        let note = format!("with a trajectory, of {} detected{}", data.objects.len(), ground_tracks(data));
-        Some(Fact::new("vehicles", with_trajectory.to_string()).with_note(note))
+        let on_ground = data.objects.iter().filter(|o| o.ground_track.is_some()).count();
+        let detected = data.objects.len();
+        let (number, note) = match (with_trajectory, on_ground) {
+            (_, 0) => (with_trajectory, format!("with a trajectory, of {detected} detected")),
+            (0, _) => (on_ground, format!("with a ground track, of {detected} detected")),
+            _ => {
+                let tracks = count(on_ground, "ground track");
+                (with_trajectory, format!("with a trajectory, of {detected} detected; {tracks}"))
+            }
+        };
+        Some(Fact::new("vehicles", number.to_string()).with_note(note))
     };
     let mut facts = vec![
         timeline.length(),
@@ -37,14 +46,6 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
         facts.push(unit(data));
     }
     facts
-}
-
-/// Number of ground tracks, behind that of trajectories.
-fn ground_tracks(data: &Data) -> String {
-    match data.objects.iter().filter(|o| o.ground_track.is_some()).count() {
-        0 => String::new(),
-        number => format!("; {}", count(number, "ground track")),
-    }
 }
 
 /// In what lengths are reported, and how sure that is.

@@ -9,9 +9,10 @@ use crate::scene::{ObjectId, Verdict, first_of_each_topic, warning_text};
 /// Text where a stage left no reason.
 pub(super) const NO_REASON: &str = "no reason recorded";
 
-/// Everything that is not there, with the reason.
+/// Everything that is not there, with the reason; vehicles that lack the same for the same reason are one entry.
 pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     let mut list = data.missing.clone();
+    let mut lacking: Vec<(&str, String, Vec<String>)> = Vec::new();
     for (object, name) in data.objects.iter().zip(names).filter(|(o, _)| lacks_result(data, o)) {
         let reason = object.failure.clone().unwrap_or_else(|| NO_REASON.to_owned());
         let kind = match object.ground_track {
@@ -19,9 +20,16 @@ pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
             None if data.is_sfm => "no model",
             None => "no trajectory",
         };
-        let what = format!("{name}, visible in {}: {kind}", count(object.visible.len(), "frame"));
-        list.push(Missing { what, reason });
+        let who = format!("{name}, visible in {}", count(object.visible.len(), "frame"));
+        match lacking.iter_mut().find(|(of, why, _)| *of == kind && *why == reason) {
+            Some((.., all)) => all.push(who),
+            None => lacking.push((kind, reason, vec![who])),
+        }
     }
+    list.extend(lacking.into_iter().map(|(kind, reason, all)| {
+        let who = if let [one] = &all[..] { one.clone() } else { count(all.len(), "vehicle") };
+        Missing { what: format!("{who}: {kind}"), reason }
+    }));
     list.extend(unregistered("Background", &data.background));
     for (object, name) in data.objects.iter().zip(names) {
         list.extend(object.model.iter().flat_map(|m| unregistered(name, m)));

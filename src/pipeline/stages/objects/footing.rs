@@ -5,21 +5,18 @@
 //! rough poses need no better ones, and the stage `ground` finds those.
 
 use std::cell::OnceCell;
-use std::collections::BTreeMap;
 
 use nalgebra::Point2;
 
 use super::super::ground::GroundResults;
-use super::super::{background, track};
 use super::object_boxes::object_boxes;
 use crate::features::tracks::{TrackTable, View};
-use crate::ground::{GroundChain, HoveringGround, dominant_plane_points, find_mount};
+use crate::ground::{GroundChain, dominant_plane_points, find_mount};
 use crate::mapper::PosePriors;
 use crate::math::{Rigid3, median};
+use crate::pipeline::Options;
 use crate::pipeline::driver::run::Run;
-use crate::pipeline::inputs::hovering;
-use crate::pipeline::{Options, Result};
-use crate::scene::{FrameId, Image, Movement, ObjectId, Observation, Point3dId, Reconstruction, Rect};
+use crate::scene::{Image, ObjectId, Observation, Point3dId, Reconstruction, Rect};
 use crate::trajectory::ground_constrained_poses;
 
 /// Error of an initial position, as a share of the object's extent: 0.05 and 0.1 gave models as good.
@@ -29,15 +26,13 @@ const POSITION_ERROR: f64 = 0.25;
 pub(super) struct Footing<'a> {
     run: &'a Run<'a>,
     background: &'a Reconstruction,
-    /// The ground below a camera that does not translate.
-    pub(super) hovering: Option<HoveringGround>,
     /// Found when the first object asks for it.
     found: OnceCell<GroundResults>,
 }
 
 impl<'a> Footing<'a> {
-    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Result<Self> {
-        Ok(Self { run, background, hovering: hovering_ground(run, background)?, found: OnceCell::new() })
+    pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Self {
+        Self { run, background, found: OnceCell::new() }
     }
 
     /// Poses of the views of an object; `None` where there is no ground.
@@ -46,33 +41,10 @@ impl<'a> Footing<'a> {
         let found = self.found.get_or_init(|| GroundResults {
             dominant: dominant_plane_points(self.background, options, seed).ok(),
             mount: find_mount(self.background, None, options, seed).ok(),
-            hovering: self.hovering.clone(),
             ..GroundResults::default()
         });
         object_pose_priors(&found.chain(self.background, self.run.options), id, table, self.run.options)
     }
-}
-
-/// The ground below a camera that does not translate; `None` for others, and where nothing shows it.
-fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<HoveringGround>> {
-    if background.is_empty() || !background.points.is_empty() {
-        return Ok(None);
-    }
-    // Where vehicles that stand point to is unknown.
-    let mut tracked = run.workspace.read_tracked()?;
-    tracked.retain(|object| object.movement.state == Movement::Moving);
-    let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, Rect>> = BTreeMap::new();
-    for frame in run.frames()? {
-        for (id, mask) in track::masks_of(run, &tracked, frame)? {
-            let whole = mask.bounding_box().filter(|bounds| !bounds.touches_border(mask.width(), mask.height()));
-            let Some(bounds) = whole else { continue };
-            vehicles.entry(id).or_default().insert(frame.id, bounds.into());
-        }
-    }
-    let vehicles: Vec<_> = vehicles.into_values().collect();
-    let tilts = hovering::tilts(run, background, background::normal_by_lines(run).as_ref())?;
-    let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
-    Ok(crate::ground::hovering_ground(background, &vehicles, tilts, focal_std))
 }
 
 /// Poses of the views of an object on the ground; `None` where there is none.

@@ -21,12 +21,10 @@ use super::{follow, ground};
 use crate::camera::Camera;
 use crate::features::Target;
 use crate::features::TrackTable;
-use crate::ground::HoveringGround;
 use crate::io::interchange::colmap;
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::given_models;
-use crate::pipeline::inputs::{hovering, order};
+use crate::pipeline::inputs::{given_models, order};
 use crate::pipeline::{Result, Stage};
 use crate::scene::{
     BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, StationaryVehicles, Topic, TrackedObject,
@@ -35,10 +33,11 @@ use footing::Footing;
 pub use footing::object_pose_priors;
 
 const REPORTS: &str = "objects-report.json";
-/// The ground below a camera that does not translate, or `null`.
-const HOVERING: &str = "hovering-ground.json";
 /// Why there is no model where it is not the object's fault.
 const NO_BACKGROUND: &str = "no background to place it in";
+/// The same where vehicles are followed on the ground: a model would have a depth only as far as its vehicle turns
+/// against the line of sight (docs/decisions/041-ground-tracks-below-a-hovering-camera.md).
+const HOVERS: &str = "the camera does not translate";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let given: Result<BTreeMap<_, _>> =
@@ -49,7 +48,6 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
         "only": run.options.only_objects,
         "options": objects.mapper,
         "ground": run.options.ground,
-        "hovering": background::hovers(run).then(|| hovering::cache_key(run)).transpose()?,
         "stationary": run.options.scale.stationary,
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
@@ -62,11 +60,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let background = run.workspace.read_background()?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
-    let hovers = background.points.is_empty();
     let by_points = track::movement::by_points(run)?;
-    let place =
-        ObjectContext { camera, hovers, background: &background, by_points, footing: Footing::new(run, &background)? };
-    run.keep(HOVERING, &place.footing.hovering, outcome)?;
+    let place = ObjectContext { camera, background: &background, by_points, footing: Footing::new(run, &background) };
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
@@ -94,8 +89,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
 
 fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
     match &report.failure {
-        // That is what the whole run ends with.
-        Some(failure) if failure == NO_BACKGROUND => {
+        // The run says so once.
+        Some(failure) if [NO_BACKGROUND, HOVERS].contains(&failure.as_str()) => {
             outcome.note(Topic::VehicleNotReconstructed.warning(format!("object {id}: not reconstructed: {failure}")))
         }
         Some(failure) => {
@@ -117,12 +112,6 @@ fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
             "num_outside_masks": report.num_outside_masks,
         }),
     );
-}
-
-/// The ground below a camera that does not translate; `None` for others, and where nothing shows it. The stage must be
-/// done.
-pub(in crate::pipeline) fn hovering_ground(run: &Run) -> Result<Option<HoveringGround>> {
-    run.workspace.read_state(HOVERING)
 }
 
 /// The reports of all objects; the stage must be done.
@@ -173,8 +162,6 @@ fn marker_name(id: ObjectId) -> String {
 struct ObjectContext<'a> {
     /// `None` without a background.
     camera: Option<Camera>,
-    /// True if the camera does not translate.
-    hovers: bool,
     background: &'a Reconstruction,
     by_points: PointFindings,
     footing: Footing<'a>,
@@ -196,7 +183,7 @@ impl ObjectContext<'_> {
             StationaryVehicles::Found => self.by_points.get(&object.id),
             StationaryVehicles::All => None,
         };
-        if self.hovers || by_points.is_some_and(PointFinding::points_move) {
+        if by_points.is_some_and(PointFinding::points_move) {
             return Ok(None);
         }
         let Some(found) = background::triangulate(run, table, camera, options, self.background)? else {
@@ -229,9 +216,7 @@ fn one_object(
     let (model, mut report) = match (given, place.camera) {
         (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
-        (None, Some(_)) if place.hovers && object.movement.state != Movement::Moving => {
-            failed("neither the camera nor the vehicle moves, so its shape has no depth".to_owned())
-        }
+        (None, Some(_)) if place.background.points.is_empty() => failed(HOVERS.to_owned()),
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
