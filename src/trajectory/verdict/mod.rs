@@ -27,7 +27,6 @@ mod size;
 mod support;
 #[cfg(test)]
 mod tests;
-mod visible;
 
 use std::collections::BTreeMap;
 
@@ -101,7 +100,7 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     reasons.extend(support::pixels(measures));
     if let Some(tracked) = candidate.tracked {
         reasons.extend(support::detection(tracked));
-        reasons.extend(support::movement(tracked, measures, || visible::shows(candidate)));
+        reasons.extend(support::movement(tracked, measures));
     }
     reasons.extend(ground::reasons(measures, candidate.level));
     reasons.extend(size::shape(measures, &class));

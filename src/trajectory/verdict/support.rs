@@ -60,10 +60,8 @@ pub(super) fn detection(tracked: &TrackedObject) -> Option<Reason> {
     })
 }
 
-/// Evidence of its points for and against its path.
-///
-/// * `shows` – whether a path like this one would have shown on points that are followed.
-pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl Fn() -> bool) -> Option<Reason> {
+/// Evidence of its points for its path, or of its path alone.
+pub(super) fn movement(tracked: &TrackedObject, measures: &Measures) -> Option<Reason> {
     let heights = measures.in_heights(measures.reach)?;
     // Something that is stationary cannot have gone so far.
     let is_far = heights > 2.0;
@@ -73,9 +71,6 @@ pub(super) fn movement(tracked: &TrackedObject, measures: &Measures, shows: impl
         Movement::Moving => Some(Reason::supports(MovementKind, format!("moving: {why}"))),
         Movement::Stationary if !is_far => {
             Some(Reason::supports(MovementKind, format!("stationary, and its position is constant: {why}")))
-        }
-        Movement::Stationary if shows() => {
-            Some(Reason::refutes(MovementKind, format!("stationary ({why}), but its path is {far} long")))
         }
         _ if is_far && tracked.confidence < SURE => Some(Reason::doubts(
             MovementKind,

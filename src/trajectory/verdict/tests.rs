@@ -2,13 +2,12 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Point3, UnitQuaternion, Vector3};
+use nalgebra::{UnitQuaternion, Vector3};
 
 use super::scale::{OtherEstimate, agreement, deviation};
 use super::*;
-use crate::math::Rigid3;
 use crate::scene::{
-    DetectionCounts, ImageId, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod,
+    DetectionCounts, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod,
 };
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 use crate::trajectory::{ObjectDescription, assemble};
@@ -165,41 +164,6 @@ fn a_model_that_is_drawn_out_along_the_line_of_sight_is_refuted() {
     }
     let verdict = judge(&[long]).remove(0);
     assert!(verdict.is_refuted() && verdict.against().any(|r| r.says.contains("line of sight")), "{verdict:#?}");
-}
-
-#[test]
-fn what_stands_by_its_points_and_moves_by_its_path_is_refuted() {
-    let mut post = car(1, 1.0, &usual());
-    post.tracked.movement = MovementFinding { state: Movement::Stationary, reason: "as the ground".into() };
-    let verdict = judge(&[post]).remove(0);
-    assert_eq!(finding(&verdict, ReasonKind::Movement), Some(Finding::Refutes));
-}
-
-/// The camera flies away from a car that follows at a constant ratio of speeds: its points are those of a stationary
-/// one farther away, and the ground hardly tells.
-#[test]
-fn a_path_along_the_line_of_sight_that_points_do_not_show_is_not_refuted() {
-    let mut lead = car(1, 1.0, &usual());
-    lead.tracked.movement = MovementFinding { state: Movement::Stationary, reason: "as the ground".into() };
-    let frames: Vec<FrameId> = lead.trajectory.poses.iter().map(|pose| pose.frame).collect();
-    let (first, up) = (Vector3::from(lead.trajectory.poses[0].position), normal(&lead));
-    let start = lead.world.background.images[&ImageId::from(frames[0])].cam_from_world.center().coords;
-    let ahead = first - start;
-    let ahead = ahead - up * up.dot(&ahead);
-    for (share, refuted) in [(0.1, false), (0.6, true)] {
-        let mut lead = lead.clone();
-        for (k, frame) in frames.iter().enumerate() {
-            let way = ahead * (-3.0 * k as f64 / frames.len() as f64);
-            let image = lead.world.background.images.get_mut(&ImageId::from(*frame)).unwrap();
-            let rotation = image.cam_from_world.rotation;
-            image.cam_from_world = Rigid3::from_rotation_and_center(rotation, Point3::from(start + way));
-            let pose = &mut lead.trajectory.poses[k];
-            pose.position = (first + share * way).into();
-        }
-        let verdict = judge(&[lead]).remove(0);
-        let wanted = refuted.then_some(Finding::Refutes);
-        assert_eq!(finding(&verdict, ReasonKind::Movement), wanted, "{share}: {verdict:#?}");
-    }
 }
 
 /// A car whose stated deviation is 1.5 %, while the constant distances say +157 % and all frames together −32 %.
