@@ -90,35 +90,52 @@ fn a_killed_run_ends_where_an_undisturbed_one_ends() {
     assert!(whole.contains_key(Path::new("objects/1/images.txt")), "{:?}", whole.keys());
     for stage in ["frames", "features", "background", "motion", "track", "follow", "objects", "scale", "metric"] {
         let output = format!("killed-after-{stage}");
-        kill_after(&place, &output, stage);
+        let marker = format!("{stage}.json");
+        kill_when(&place, &output, stage, |state| state.join(&marker).is_file());
         let (_, reused) = place.run(&output, &[]);
         assert!(reused.iter().any(|name| name == stage), "{stage} was done twice: {reused:?}");
         assert_same(&whole, &place.result(&output), &output);
     }
     // The vehicle is reconstructed, and not yet compared with the masks of all frames.
-    kill_after(&place, "killed-inside", "object-1");
+    kill_when(&place, "killed-inside", "object 1", has_report_of_object);
     place.run("killed-inside", &[]);
     assert_same(&whole, &place.result("killed-inside"), "killed-inside");
-    assert!(!place.path("killed-inside/.tractrix/objects-unchecked").exists());
+    assert!(folders_of_objects(&place.path("killed-inside/.tractrix")).is_empty());
 }
 
-/// Starts a run and kills it without warning as soon as a stage is marked as done.
-fn kill_after(place: &Place, output: &str, stage: &str) {
+/// The folders in which the stage `objects` keeps what it has done so far.
+fn folders_of_objects(state: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(state).into_iter().flatten().flatten().map(|entry| entry.path());
+    entries.filter(|path| path.is_dir() && path.to_string_lossy().contains("objects-")).collect()
+}
+
+fn has_report_of_object(state: &Path) -> bool {
+    folders_of_objects(state).iter().any(|folder| folder.join("1.json").is_file())
+}
+
+/// Starts a run and kills it without warning as soon as its state folder shows that something is done.
+fn kill_when(place: &Place, output: &str, what: &str, is_done: impl Fn(&Path) -> bool) {
     let mut child = Command::new(env!("CARGO_BIN_EXE_tractrix"))
         .args(place.arguments(output))
         .stdout(Stdio::null())
         .stderr(Stdio::null())
         .spawn()
         .unwrap();
-    let marker = place.path(output).join(".tractrix").join(format!("{stage}.json"));
+    let state = place.path(output).join(".tractrix");
     let started = Instant::now();
-    while !marker.is_file() && child.try_wait().unwrap().is_none() {
-        assert!(started.elapsed() < Duration::from_secs(600), "{stage} is never done");
+    let is_reached = loop {
+        if is_done(&state) {
+            break true;
+        }
+        if child.try_wait().unwrap().is_some() {
+            break false;
+        }
+        assert!(started.elapsed() < Duration::from_secs(600), "{what} is never done");
         std::thread::sleep(Duration::from_millis(2));
-    }
+    };
     child.kill().unwrap();
     child.wait().unwrap();
-    assert!(marker.is_file(), "the run ended before {stage} was done");
+    assert!(is_reached, "the run ended before {what} was done");
 }
 
 #[test]

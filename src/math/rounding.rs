@@ -82,9 +82,35 @@ fn rounded(value: f64, place: i32) -> String {
     }
 }
 
+/// "3–7, 9" of ascending numbers; the middle of a long list is left out.
+pub fn ranges(numbers: impl IntoIterator<Item = u32>) -> String {
+    let numbers: Vec<u32> = numbers.into_iter().collect();
+    let runs: Vec<String> = numbers
+        .chunk_by(|a, b| a.checked_add(1) == Some(*b))
+        .map(|run| match run {
+            [one] => one.to_string(),
+            [first, .., last] => format!("{first}–{last}"),
+            [] => String::new(),
+        })
+        .collect();
+    if runs.len() > 8 {
+        return format!("{}, …, {}", runs[..5].join(", "), runs[runs.len() - 1]);
+    }
+    runs.join(", ")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn frames_are_written_as_ranges() {
+        assert_eq!(ranges([1, 2, 3, 7, 9, 10]), "1–3, 7, 9–10");
+        assert_eq!(ranges([]), "");
+        let every_other: Vec<_> = (0..40).step_by(2).collect();
+        assert_eq!(ranges(every_other), "0, 2, 4, 6, 8, …, 38");
+        assert_eq!(ranges([u32::MAX]), u32::MAX.to_string());
+    }
 
     #[test]
     fn values_have_the_digits_of_their_deviation() {

@@ -7,7 +7,7 @@ use super::stages::report;
 use super::{PipelineError, Result, Workspace};
 use crate::checks::text::with_causes;
 use crate::eval::{self, AsReconstructed, Evaluation, Input, MeshIndex, Model, ObjectInput, TruthFrame};
-use crate::io::{IoError, RunFolder, Sequence, SequenceFrame, atomic, masks};
+use crate::io::{IoError, OwnedFolder, RunFolder, Sequence, SequenceFrame, atomic, masks};
 use crate::scene::{FrameId, Mask, ObjectId, ObjectTrajectory, Reconstruction, Trajectories};
 
 /// Evaluates the run in `output` against the sequence in `truth`.
@@ -40,7 +40,7 @@ pub enum SavedEvaluation {
 /// # Errors
 /// [`PipelineError::Folder`] where another run is at work on the folder, or something stands in the way.
 pub fn keep_evaluation(output: &Path, truth: &Path, evaluation: &Evaluation) -> Result<SavedEvaluation> {
-    if !Workspace::is_own(output) {
+    if !OwnedFolder::is_own(output, RunFolder::MADE_BY) {
         return Ok(SavedEvaluation::Nowhere);
     }
     Workspace::inspect(output, &[("--truth", truth)])?;

@@ -49,6 +49,7 @@ pub use stages::report::link_exports;
 use crate::io::InputIdentity;
 use crate::scene::{Movement, ObjectId, TimeBase, TrackedObject};
 use driver::run::{Outcome, Run};
+use driver::threads::on_threads;
 use driver::{fingerprint, run_json};
 use inputs::{cameras, given_models, preflight};
 use stages::{background, features, follow, frames, ground, metric, motion, objects, report, scale, segment, track};
@@ -122,8 +123,12 @@ pub struct Job<'a> {
 /// [`PipelineError`] when there can be no result; what concerns single frames or objects is counted and reported
 /// instead.
 pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary> {
+    job.options.check()?;
+    on_threads(job.options.threads, || run_checked(job, progress))?
+}
+
+fn run_checked(job: &Job, progress: &dyn Progress) -> Result<Summary> {
     let Job { options, goal, .. } = *job;
-    options.check()?;
     metric::check(options)?;
     Workspace::inspect(job.output, &job.inputs())?;
     for (flag, path) in options.named_models() {
@@ -139,11 +144,13 @@ pub fn run(job: &Job, progress: &dyn Progress) -> Result<Summary> {
     progress.end();
     let content = content?;
     let path = std::fs::canonicalize(source.path()).unwrap_or_else(|_| source.path().to_owned());
-    workspace.claim(InputIdentity { path, content: content.clone() }, job.overwrite)?;
+    let input = InputIdentity { path, content: content.clone() };
+    workspace.owned.claim(input, job.overwrite == Overwrite::AnyInput)?;
     workspace.clear_ended()?;
     let muted = Muted(progress);
     let mut run = Run::new(options, &workspace, &source, job.arguments, progress);
-    let result = stages(&mut run, goal, &content, &muted).and_then(|()| page_of_models(&run));
+    (run.goal, run.content) = (goal, content);
+    let result = stages(&mut run, &muted).and_then(|()| page_of_models(&run));
     let error = result.as_ref().err().map(ToString::to_string);
     let written = run_json::write(&run, error.as_deref());
     // What went wrong first says what to do: on a full disk it names the file that did not fit.
@@ -187,7 +194,7 @@ fn vehicles(run: &Run, goal: Stage) -> Result<BTreeMap<ObjectId, Vehicle>> {
     }
     let mut tracked: BTreeMap<ObjectId, TrackedObject> =
         run.workspace.read_tracked()?.into_iter().map(|object| (object.id, object)).collect();
-    let mut failures = if goal >= Stage::Scale { scale::failures(run)? } else { BTreeMap::new() };
+    let mut failures = if goal >= Stage::Scale { scale::results(run)?.failures } else { BTreeMap::new() };
     let vehicle = |(id, model): (ObjectId, ModelReport)| {
         let (class, movement) = tracked.remove(&id).map(|found| (found.class, found.movement.state)).unzip();
         let not_placed = failures.remove(&id);
@@ -206,13 +213,17 @@ impl Job<'_> {
     }
 }
 
-fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>) -> Result<()> {
-    run.goal = goal;
+fn stages<'a>(run: &mut Run<'a>, muted: &'a Muted<'a>) -> Result<()> {
     preflight::check_camera(run)?;
+    let goal = run.goal;
     for stage in Stage::ALL.into_iter().filter(|stage| *stage <= goal) {
-        one_stage(run, stage, input)?;
+        // The page shows the command line and what every stage cost, so it is made again whenever anything was done.
+        if stage == Stage::Report && !run.all_reused() {
+            run.workspace.clear_marker(stage)?;
+        }
+        run.stage(stage)?;
         match stage {
-            Stage::Frames => preflight::check_files(run, &open_stages(run, goal, input)?)?,
+            Stage::Frames => preflight::check_files(run, &open_stages(run)?)?,
             // Without a background later stages write down that there is nothing, which is not worth a word.
             Stage::Track if background::background_report(run)?.failure.is_some() => run.progress = muted,
             _ => {}
@@ -221,67 +232,30 @@ fn stages<'a>(run: &mut Run<'a>, goal: Stage, input: &str, muted: &'a Muted<'a>)
     Ok(())
 }
 
-fn one_stage(run: &mut Run, stage: Stage, input: &str) -> Result<()> {
-    // The page shows the command line and what every stage cost, so it is made again whenever anything was done.
-    if stage == Stage::Report && !run.all_reused() {
-        run.workspace.clear_marker(stage)?;
-    }
-    let cache_key = cache_key(run, stage, input)?;
-    run.stage(stage, cache_key, |run, fingerprint, outcome| run_stage(run, stage, fingerprint, outcome))
-}
+/// Everything that a stage's result depends on besides the stages before it, and what it does.
+type Work = (fn(&Run) -> Result<Value>, fn(&Run, &mut Outcome) -> Result<()>);
 
-/// Everything that a stage's result depends on besides the stages before it.
-fn cache_key(run: &Run, stage: Stage, input: &str) -> Result<Value> {
-    Ok(match stage {
-        Stage::Frames => frames::cache_key(run, input),
-        Stage::Segment => segment::cache_key(run)?,
-        Stage::Features => features::cache_key(run)?,
-        Stage::Background => background::background_cache_key(run)?,
-        Stage::Motion => motion::cache_key(run)?,
-        Stage::Track => track::cache_key(run)?,
-        Stage::Follow => follow::cache_key(run)?,
-        Stage::Objects => objects::cache_key(run)?,
-        Stage::Ground => ground::cache_key(run)?,
-        Stage::Scale => scale::cache_key(run),
-        Stage::Metric => metric::cache_key(run),
-        Stage::Report => json!({ "arguments": run.arguments }),
-    })
-}
-
-/// Prefixes of the folders in which a stage keeps intermediate files, by the options that it works with.
-fn intermediates(stage: Stage) -> &'static [&'static str] {
+fn work_of(stage: Stage) -> Work {
     match stage {
-        Stage::Segment => &[segment::MASKS, segment::BOXES],
-        Stage::Features => &[features::PREFIX],
-        Stage::Motion => &[motion::PREFIX],
-        Stage::Track => &[track::ANSWERS],
-        Stage::Follow => &[follow::PREFIX],
-        Stage::Ground => &[ground::MASKS],
-        Stage::Frames | Stage::Background | Stage::Objects | Stage::Scale | Stage::Metric | Stage::Report => &[],
-    }
-}
-
-fn run_stage(run: &Run, stage: Stage, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
-    match stage {
-        Stage::Frames => frames::run_stage(run, outcome),
-        Stage::Segment => segment::run_stage(run, fingerprint, outcome),
-        Stage::Features => features::run_stage(run, fingerprint, outcome),
-        Stage::Background => background::run_background(run, outcome),
-        Stage::Motion => motion::run_stage(run, fingerprint, outcome),
-        Stage::Track => track::run_stage(run, fingerprint, outcome),
-        Stage::Follow => follow::run_stage(run, fingerprint, outcome),
-        Stage::Objects => objects::run_stage(run, fingerprint, outcome),
-        Stage::Ground => ground::run_stage(run, fingerprint, outcome),
-        Stage::Scale => scale::run_stage(run, outcome),
-        Stage::Metric => metric::run_stage(run, outcome),
-        Stage::Report => report::run_stage(run, outcome),
+        Stage::Frames => (frames::cache_key, frames::run_stage),
+        Stage::Segment => (segment::cache_key, segment::run_stage),
+        Stage::Features => (features::cache_key, features::run_stage),
+        Stage::Background => (background::cache_key, background::run_stage),
+        Stage::Motion => (motion::cache_key, motion::run_stage),
+        Stage::Track => (track::cache_key, track::run_stage),
+        Stage::Follow => (follow::cache_key, follow::run_stage),
+        Stage::Objects => (objects::cache_key, objects::run_stage),
+        Stage::Ground => (ground::cache_key, ground::run_stage),
+        Stage::Scale => (scale::cache_key, scale::run_stage),
+        Stage::Metric => (metric::cache_key, metric::run_stage),
+        Stage::Report => (|run| Ok(json!({ "arguments": run.arguments })), report::run_stage),
     }
 }
 
 /// The stages up to the goal that no earlier run has done with the options and the input of this one; `frames` must be
 /// done.
-fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>> {
-    let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
+fn open_stages(run: &Run) -> Result<Vec<Stage>> {
+    let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= run.goal).collect();
     if stages.iter().skip(1).all(|&stage| run.workspace.marker(stage).is_none()) {
         return Ok(stages);
     }
@@ -289,7 +263,7 @@ fn open_stages(run: &Run, goal: Stage, input: &str) -> Result<Vec<Stage>> {
     let mut open = Vec::new();
     for stage in stages {
         let upstream: Vec<&str> = stage.after().iter().map(|before| fingerprints[before].as_str()).collect();
-        let fingerprint = fingerprint::of_stage(stage, &cache_key(run, stage, input)?, &upstream);
+        let fingerprint = fingerprint::of_stage(stage, &work_of(stage).0(run)?, &upstream);
         if !run.is_done(stage, &fingerprint) {
             open.push(stage);
         }

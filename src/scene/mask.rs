@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 use super::Rect;
 
 /// A set of pixels of one frame. Only a window around the set pixels is stored: a frame has many small objects.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
+#[serde(into = "Runs", try_from = "Runs")]
 pub struct Mask {
     width: u32,
     height: u32,
@@ -15,6 +16,46 @@ pub struct Mask {
     window: BoundingBox,
     /// Row-major over the window.
     pixels: Vec<bool>,
+}
+
+/// A mask on disk: run lengths over the box around its pixels, row by row, of clear and of set ones in turn.
+#[derive(Serialize, Deserialize)]
+struct Runs {
+    size: (u32, u32),
+    window: BoundingBox,
+    runs: Vec<u32>,
+}
+
+/// Most pixels of a mask: a damaged file must not fill the memory.
+const MAX_PIXELS: u64 = 1 << 28;
+
+impl From<Mask> for Runs {
+    fn from(mask: Mask) -> Self {
+        let window = mask.bounding_box().unwrap_or(BoundingBox { x0: 0, y0: 0, x1: 0, y1: 0 });
+        // The first pixels of a run of clear ones may be none.
+        let pixels = mask.pixels_in(window);
+        let lengths = pixels.chunk_by(|a, b| a == b).map(|run| run.len() as u32);
+        let runs = pixels.first().filter(|first| **first).map(|_| 0).into_iter().chain(lengths).collect();
+        Self { size: mask.size(), window, runs }
+    }
+}
+
+impl TryFrom<Runs> for Mask {
+    type Error = &'static str;
+
+    fn try_from(Runs { size: (width, height), window, runs }: Runs) -> Result<Self, Self::Error> {
+        let is_inside = window.x0 <= window.x1 && window.x1 <= width && window.y0 <= window.y1 && window.y1 <= height;
+        if !is_inside {
+            return Err("the window of a mask is outside its frame");
+        }
+        let total: u64 = runs.iter().map(|&run| u64::from(run)).sum();
+        let area = u64::from(window.width()) * u64::from(window.height());
+        if total != area || area > MAX_PIXELS {
+            return Err("runs do not fill the window of a mask");
+        }
+        let pixels = runs.iter().enumerate().flat_map(|(k, &run)| std::iter::repeat_n(k % 2 == 1, run as usize));
+        Ok(Self { width, height, window, pixels: pixels.collect() })
+    }
 }
 
 /// An axis-aligned box of whole pixels: `x0 ≤ x < x1`, `y0 ≤ y < y1`.
@@ -122,6 +163,11 @@ impl Mask {
     /// Height, pixels.
     pub fn height(&self) -> u32 {
         self.height
+    }
+
+    /// Width and height, pixels.
+    pub fn size(&self) -> (u32, u32) {
+        (self.width, self.height)
     }
 
     /// The pixels of a window, row-major; those outside of the frame are clear.
@@ -390,6 +436,14 @@ impl LabelMap {
         Mask::from_values(self.width, self.height, &self.labels, |l| l != 0)
     }
 
+    /// The label under the center of every pixel of an image of another size.
+    pub fn resized(&self, (width, height): (u32, u32)) -> Self {
+        let from = |k: u32, to: u32, side: u32| (u64::from(2 * k + 1) * u64::from(side) / u64::from(2 * to)) as usize;
+        let row = |y: u32| from(y, height, self.height) * self.width as usize;
+        let places = (0..height).flat_map(|y| (0..width).map(move |x| row(y) + from(x, width, self.width)));
+        Self { width, height, labels: places.map(|place| self.labels[place]).collect() }
+    }
+
     /// The labels that occur, ascending, without 0.
     pub fn present(&self) -> Vec<u8> {
         let mut seen = [false; 256];
@@ -401,7 +455,7 @@ impl LabelMap {
 }
 
 /// One object found in one frame by a segmentation model.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Detection {
     /// Class name, from the model's metadata.
     pub class: String,

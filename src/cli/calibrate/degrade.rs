@@ -89,7 +89,7 @@ impl Maker<'_> {
         masks::write_label_map(&self.place("masks", truth), &self.labels(truth, labels, is_hidden))?;
         if let Some(semantic) = &truth.semantic {
             let map = masks::read_label_map(&self.sequence.folder.join(semantic), self.sequence.frame_size())?;
-            masks::write_label_map(&self.place("semantic", truth), &resized(&map, self.size))?;
+            masks::write_label_map(&self.place("semantic", truth), &map.resized(self.size))?;
         }
         Ok(())
     }
@@ -145,7 +145,7 @@ impl Maker<'_> {
                 Mask::from_fn(map.width, map.height, |x, y| before.get(from(x, dx), from(y, dy)))
             }
             _ if is_hidden => Mask::empty(map.width, map.height),
-            _ => return resized(&map, self.size),
+            _ => return map.resized(self.size),
         };
         let pixels = (0..map.height).flat_map(|y| (0..map.width).map(move |x| (i64::from(x), i64::from(y))));
         for (label, (x, y)) in map.labels.iter_mut().zip(pixels) {
@@ -208,19 +208,4 @@ fn write_picture(path: &Path, picture: &RgbImage, variant: Variant) -> anyhow::R
 fn picture_name(variant: Variant, frame: FrameId) -> String {
     let ending = if variant.kind == Kind::Compression { "jpg" } else { "png" };
     format!("{:06}.{ending}", frame.0)
-}
-
-/// A label map at another size: every pixel as the one that its centre falls on.
-fn resized(map: &LabelMap, (width, height): (u32, u32)) -> LabelMap {
-    if (map.width, map.height) == (width, height) {
-        return map.clone();
-    }
-    let from = |at: u32, to: u32, side: u32| {
-        let middle = (f64::from(at) + 0.5) * f64::from(side) / f64::from(to);
-        (middle as u32).min(side - 1)
-    };
-    let pixels = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
-    let places = pixels.map(|(x, y)| (from(x, width, map.width), from(y, height, map.height)));
-    let labels = places.map(|(x, y)| map.labels[y as usize * map.width as usize + x as usize]).collect();
-    LabelMap { width, height, labels }
 }

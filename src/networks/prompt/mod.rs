@@ -11,6 +11,7 @@ mod outline;
 mod window;
 
 use ::image::RgbImage;
+use serde::{Deserialize, Serialize};
 
 pub use self::box_net::load_small_box_segmenter;
 pub use self::by_size::BySize;
@@ -23,7 +24,7 @@ use super::PerceptionError;
 use crate::scene::{Mask, Rect};
 
 /// The pixels of one box's object.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BoxMask {
     /// Its pixels, at the frame's resolution.
     pub mask: Mask,

@@ -7,7 +7,6 @@
 //! leaves one only if no file has changed while it was under way.
 
 use std::fs::{self, Metadata};
-use std::io;
 use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
@@ -15,9 +14,9 @@ use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::fingerprint;
-use super::workspace::{self, Workspace};
+use super::workspace::{self, Marker, Workspace};
 use crate::ffi::onnx::{self, Provider};
-use crate::io::{RunFolder, atomic};
+use crate::io::{OwnedFolder, RunFolder, atomic};
 use crate::networks::default_models;
 use crate::pipeline::inputs::telemetry;
 use crate::pipeline::{Instances, Options, Result, Stage, TelemetryChoice};
@@ -145,7 +144,7 @@ impl Completion {
             ));
         }
         // Who has the results may have given the input away.
-        match now.files == self.of.files || is_gone(input) {
+        match now.files == self.of.files || matches!(input.try_exists(), Ok(false)) {
             true => Ok(()),
             false => Err("the input, or another file of the run, has changed".to_owned()),
         }
@@ -232,15 +231,17 @@ fn judge(output: &Path, compare: impl FnOnce(&Completion) -> Result<(), String>)
     if !is_begun(output) {
         return FolderState::Absent;
     }
-    if Workspace::is_busy(output) {
+    if OwnedFolder::is_busy(output) {
         return FolderState::Running;
     }
     let Some(mut ended) = Completion::of_folder(output) else { return FolderState::Begun };
     let failure = ended.failure.take();
+    let marker = |stage| workspace::read_state::<Marker>(output, &workspace::marker_name(stage));
+    let is_whole = |stage| marker(stage).is_ok_and(|marker| marker.is_complete(output));
     match (failure, compare(&ended)) {
         (Some(failed), Ok(())) => FolderState::Failed(failed),
         (Some(_), Err(_)) => FolderState::Begun,
-        (None, _) if !has_results(output) => FolderState::Begun,
+        (None, _) if !Stage::ALL.into_iter().all(is_whole) => FolderState::Begun,
         (None, Ok(())) => FolderState::Done,
         (None, Err(difference)) => FolderState::Outdated(difference),
     }
@@ -249,15 +250,6 @@ fn judge(output: &Path, compare: impl FnOnce(&Completion) -> Result<(), String>)
 /// Returns true if a run was ever started in a folder.
 pub fn is_begun(output: &Path) -> bool {
     output.join(RunFolder::STATE).is_dir()
-}
-
-fn is_gone(input: &Path) -> bool {
-    matches!(fs::metadata(input), Err(error) if error.kind() == io::ErrorKind::NotFound)
-}
-
-/// Returns true if every stage is marked as done and all its outputs exist.
-fn has_results(output: &Path) -> bool {
-    Stage::ALL.into_iter().all(|stage| Workspace::has_results_of(output, stage))
 }
 
 #[cfg(test)]

@@ -1,7 +1,7 @@
 //! Fingerprints of results: hashes of everything that a result depends on. Equal ones mean that it can be reused.
 
 use std::fs;
-use std::io::{self, Read};
+use std::io::{self, BufReader};
 use std::path::{Path, PathBuf};
 
 use serde::Serialize;
@@ -18,7 +18,7 @@ pub(in crate::pipeline) fn of_value(value: &impl Serialize) -> String {
 
 fn of_value_in(version: &str, value: &impl Serialize) -> String {
     let text = serde_json::to_vec(&(version, value)).expect("options and hashes have string keys and finite numbers");
-    hex(&Sha256::digest(&text))
+    format!("{:x}", Sha256::digest(&text))
 }
 
 /// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the
@@ -37,24 +37,12 @@ pub(in crate::pipeline) fn of_content(path: &Path) -> Result<String> {
     if !path.is_dir() {
         return of_file(path).map_err(unreadable);
     }
-    let mut names = Vec::new();
-    for entry in fs::read_dir(path).map_err(unreadable)? {
-        let entry = entry.map_err(unreadable)?;
-        let hidden = entry.file_name().to_string_lossy().starts_with('.');
-        if entry.path().is_file() && !hidden {
-            names.push(entry.file_name());
-        }
-    }
-    names.sort();
-    let mut hasher = Sha256::new();
-    for name in names {
-        let file = path.join(&name);
-        let hash = of_file(&file).map_err(|source| PipelineError::Unreadable { path: file, source })?;
-        hasher.update(name.as_encoded_bytes());
-        hasher.update([0]);
-        hasher.update(hash);
-    }
-    Ok(hex(&hasher.finalize()))
+    let entries = fs::read_dir(path).map_err(unreadable)?.collect::<Result<Vec<_>, _>>().map_err(unreadable)?;
+    let is_shown = |entry: &fs::DirEntry| !entry.file_name().to_string_lossy().starts_with('.');
+    let mut paths: Vec<PathBuf> = entries.iter().filter(|entry| is_shown(entry)).map(fs::DirEntry::path).collect();
+    paths.retain(|path| path.is_file());
+    paths.sort();
+    of_each(&paths)
 }
 
 /// As [`of_content`], of several files or folders together, in their order.
@@ -62,38 +50,28 @@ pub(in crate::pipeline) fn of_content(path: &Path) -> Result<String> {
 /// # Errors
 /// As [`of_content`].
 pub(in crate::pipeline) fn of_files(paths: &[PathBuf]) -> Result<String> {
-    if let [only] = paths {
-        return of_content(only);
-    }
+    if let [only] = paths { of_content(only) } else { of_each(paths) }
+}
+
+fn of_each(paths: &[PathBuf]) -> Result<String> {
     let mut hasher = Sha256::new();
     for path in paths {
         hasher.update(path.file_name().unwrap_or_default().as_encoded_bytes());
         hasher.update([0]);
         hasher.update(of_content(path)?);
     }
-    Ok(hex(&hasher.finalize()))
+    Ok(format!("{:x}", hasher.finalize()))
 }
 
 fn of_file(path: &Path) -> io::Result<String> {
-    let mut file = files::open(path)?;
     let mut hasher = Sha256::new();
-    let mut buffer = vec![0; 1 << 20];
-    loop {
-        let count = file.read(&mut buffer)?;
-        if count == 0 {
-            return Ok(hex(&hasher.finalize()));
-        }
-        hasher.update(&buffer[..count]);
-    }
+    io::copy(&mut BufReader::with_capacity(1 << 20, files::open(path)?), &mut hasher)?;
+    Ok(format!("{:x}", hasher.finalize()))
 }
 
-/// Name of a folder of the run's own for the results of a fingerprint: the prefix and the fingerprint's beginning.
-pub(in crate::pipeline) fn folder_name(prefix: &str, fingerprint: &str) -> String {
-    format!("{prefix}{}", fingerprint.get(..16).unwrap_or_default())
-}
-
-fn hex(bytes: &[u8]) -> String {
-    bytes.iter().map(|byte| format!("{byte:02x}")).collect()
+/// Name of a stage's folder for intermediate files: its name and the fingerprint's beginning.
+pub(in crate::pipeline) fn folder_name(stage: Stage, fingerprint: &str) -> String {
+    format!("{stage}-{}", fingerprint.get(..16).unwrap_or_default())
 }
 
 #[cfg(test)]

@@ -3,36 +3,34 @@
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
+use serde_json::{Map, Value};
 
 use super::run::FRAMES;
 use super::workspace::read_state;
 use super::{fingerprint, intermediate};
-use crate::io::{RunFolder, json};
+use crate::io::{OwnedFolder, RunFolder, json};
 use crate::pipeline::inputs::cameras;
-use crate::pipeline::{Completion, FeatureKind, FrameOrder, Instances, Options, PipelineError, Result, Workspace};
+use crate::pipeline::{Completion, Options, PipelineError, Result};
 use crate::scene::Frame;
-use crate::video::{self, Source};
+use crate::video::Source;
 
-/// Input in `run.json` and its reading options; the other options change from version to version.
+/// What is read of `run.json`.
 #[derive(Deserialize)]
-struct RunJson {
-    input: InputJson,
-    options: OptionsJson,
+pub(in crate::pipeline) struct RunJson {
+    pub(in crate::pipeline) arguments: Vec<String>,
+    pub(in crate::pipeline) input: InputJson,
+    pub(in crate::pipeline) options: Map<String, Value>,
 }
 
-/// Input in `run.json`.
 #[derive(Deserialize)]
 pub(in crate::pipeline) struct InputJson {
     pub(in crate::pipeline) path: PathBuf,
 }
 
-#[derive(Deserialize)]
-struct OptionsJson {
-    video: video::Options,
-    instances: Instances,
-    features: FeatureKind,
-    order: FrameOrder,
-    background_model: Option<PathBuf>,
+impl RunJson {
+    pub(in crate::pipeline) fn read(output: &Path) -> Result<Self> {
+        Ok(json::read(&RunFolder::at(output).run_json())?)
+    }
 }
 
 /// Opens the input as the run in `output` opened it.
@@ -43,13 +41,13 @@ struct OptionsJson {
 /// A folder without `run.json`; an input that is not there or cannot be read; [`PipelineError::OtherInput`] for a file
 /// at its place from which the results were not made.
 pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source> {
-    let told: RunJson = json::read(&RunFolder::at(output).run_json())?;
-    let OptionsJson { video, instances, features, order, background_model } = told.options;
-    let options = Options { video, instances, features, order, background_model, ..Options::default() };
+    let RunJson { input: told, mut options, .. } = RunJson::read(output)?;
+    // The other options change from version to version.
+    options.retain(|name, _| ["video", "instances", "features", "order", "background_model"].contains(&name.as_str()));
     if input.is_none() {
-        check_input(output, &told.input.path)?;
+        check_input(output, &told.path)?;
     }
-    cameras::open(input.unwrap_or(&told.input.path), &options)
+    cameras::open(input.unwrap_or(&told.path), &Options::default().with_tree(&Value::Object(options))?)
 }
 
 /// Looks whether the results in `output` were made from a file or folder: an output folder that somebody else made can
@@ -61,7 +59,7 @@ pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<()
     if !input.exists() || Completion::of_folder(output).is_some_and(|ended| ended.is_of_files(input)) {
         return Ok(());
     }
-    let content = Workspace::input_of(output).map(|input| input.content);
+    let content = OwnedFolder::input_of(output, RunFolder::MADE_BY).map(|input| input.content);
     match content.is_some() && fingerprint::of_content(input).ok() == content {
         true => Ok(()),
         false => Err(PipelineError::OtherInput { path: input.to_owned(), output: output.to_owned() }),
@@ -70,11 +68,7 @@ pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<()
 
 /// The command line of the last run in `output`; `None` where its `run.json` cannot be read.
 pub fn arguments_of_run(output: &Path) -> Option<Vec<String>> {
-    #[derive(Deserialize)]
-    struct OfRun {
-        arguments: Vec<String>,
-    }
-    json::read(&RunFolder::at(output).run_json()).ok().map(|run: OfRun| run.arguments)
+    RunJson::read(output).ok().map(|run| run.arguments)
 }
 
 /// The frames of the run in `output` with their times; `None` where its own files do not tell them any more.

@@ -1,6 +1,6 @@
 //! The driver: which stages are done already, which have to be done, and what they cost.
 
-use std::cell::{Cell, OnceCell};
+use std::cell::OnceCell;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use super::cost::Meter;
 use super::workspace::{Marker, Workspace};
 use super::{fingerprint, intermediate};
 use crate::ffi::memory;
-use crate::pipeline::{Options, PipelineError, Progress, Result, Stage};
+use crate::pipeline::{Options, PipelineError, Progress, Result, Stage, work_of};
 use crate::scene::{Frame, MAX_SHOWN, Topic, Warning};
 use crate::video::{Info, Source};
 
@@ -27,6 +27,8 @@ pub(in crate::pipeline) struct Outcome {
     pub(in crate::pipeline) figures: BTreeMap<String, Value>,
     /// Files and folders that the stage made, absolute.
     pub(in crate::pipeline) outputs: Vec<PathBuf>,
+    /// Hash of everything that the stage's result is made from.
+    pub(in crate::pipeline) fingerprint: String,
     /// Warnings by topic.
     num_warned: BTreeMap<Topic, usize>,
 }
@@ -86,13 +88,14 @@ pub(in crate::pipeline) struct Run<'a> {
     pub(in crate::pipeline) progress: &'a dyn Progress,
     /// The last stage that is to be done.
     pub(in crate::pipeline) goal: Stage,
+    /// Hash of the input.
+    pub(in crate::pipeline) content: String,
     pub(in crate::pipeline) records: Vec<StageRecord>,
     /// Anomalies of the input, found before any stage.
     warnings: Vec<String>,
     frames: OnceCell<Vec<Frame>>,
     /// Focal length that would show as much on film, by the log of a video, millimeters.
     pub(in crate::pipeline) film_focal_mm: OnceCell<Option<f64>>,
-    said_anew: Cell<bool>,
 }
 
 impl<'a> Run<'a> {
@@ -110,11 +113,11 @@ impl<'a> Run<'a> {
             arguments,
             progress,
             goal: Stage::Report,
+            content: String::new(),
             records: Vec::new(),
             warnings: Vec::new(),
             frames: OnceCell::new(),
             film_focal_mm: OnceCell::new(),
-            said_anew: Cell::new(false),
         }
     }
 
@@ -159,21 +162,14 @@ impl<'a> Run<'a> {
     }
 
     /// Does a stage, unless it is done already.
-    ///
-    /// * `cache_key` – everything that its result depends on besides the stages before it.
-    /// * `run_stage` – is given the fingerprint of all that.
-    pub(in crate::pipeline) fn stage(
-        &mut self,
-        stage: Stage,
-        cache_key: Value,
-        run_stage: impl FnOnce(&Self, &str, &mut Outcome) -> Result<()>,
-    ) -> Result<()> {
+    pub(in crate::pipeline) fn stage(&mut self, stage: Stage) -> Result<()> {
         self.go_on()?;
+        let (cache_key, run_stage) = work_of(stage);
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
-        let fingerprint = fingerprint::of_stage(stage, &cache_key, &upstream);
+        let fingerprint = fingerprint::of_stage(stage, &cache_key(self)?, &upstream);
         let before = self.workspace.marker(stage);
         let is_other = before.as_ref().is_some_and(|marker| marker.fingerprint != fingerprint);
-        let same = before.filter(|marker| !is_other && self.workspace.has_outputs(marker));
+        let same = before.filter(|marker| !is_other && marker.is_complete(self.workspace.root()));
         if let Some(marker) = same {
             self.progress.skip(stage.name());
             self.records.push(StageRecord { stage, marker, reused: true });
@@ -183,17 +179,15 @@ impl<'a> Run<'a> {
             self.say_what_is_done_anew(stage);
         }
         self.workspace.clear_marker(stage)?;
-        for prefix in crate::pipeline::intermediates(stage) {
-            self.workspace.remove_intermediate(prefix, &fingerprint)?;
-        }
+        self.workspace.remove_intermediate(stage, &fingerprint)?;
         self.progress.begin(stage.name(), None);
         let meter = Meter::start();
-        let mut outcome = Outcome::default();
-        let done = run_stage(self, &fingerprint, &mut outcome);
+        let mut outcome = Outcome { fingerprint, ..Outcome::default() };
+        let done = run_stage(self, &mut outcome);
         self.progress.end();
         outcome.say_what_is_not_shown();
         done?;
-        let Outcome { warnings, figures, outputs, .. } = outcome;
+        let Outcome { warnings, figures, outputs, fingerprint, .. } = outcome;
         let cost = meter.read();
         memory::give_back();
         // A folder into which a stage puts no file is not there: nothing of the result depends on it.
@@ -212,19 +206,19 @@ impl<'a> Run<'a> {
     }
 
     /// Folder for intermediate files of a stage of this run.
-    pub(in crate::pipeline) fn folder(&self, prefix: &str, stage: Stage) -> PathBuf {
-        self.workspace.state(&fingerprint::folder_name(prefix, self.fingerprint(stage)))
+    pub(in crate::pipeline) fn folder(&self, stage: Stage) -> PathBuf {
+        self.workspace.state(&fingerprint::folder_name(stage, self.fingerprint(stage)))
     }
 
     /// Returns true if an earlier run left the results of a stage with this fingerprint.
     pub(in crate::pipeline) fn is_done(&self, stage: Stage, fingerprint: &str) -> bool {
         let marker = self.workspace.marker(stage);
-        marker.is_some_and(|marker| marker.fingerprint == fingerprint && self.workspace.has_outputs(&marker))
+        marker.is_some_and(|marker| marker.fingerprint == fingerprint && marker.is_complete(self.workspace.root()))
     }
 
     /// Says once, of the first stage whose options have changed, which results are replaced.
     fn say_what_is_done_anew(&self, first: Stage) {
-        if first == Stage::Report || self.said_anew.replace(true) {
+        if first == Stage::Report || !self.all_reused() {
             return;
         }
         let stages: Vec<&str> = first.and_dependents().into_iter().map(Stage::name).collect();

@@ -12,14 +12,14 @@ use super::cost::Cost;
 use super::fingerprint;
 use super::intermediate::damaged;
 use crate::files;
-use crate::io::{InputIdentity, IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
+use crate::io::{IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::{PipelineError, Result, Stage};
 use crate::scene::ObjectId;
 
 /// An output folder that this process has for itself. What lies where in it is [`RunFolder`]'s to say.
 #[derive(Debug)]
 pub struct Workspace {
-    owned: OwnedFolder,
+    pub(in crate::pipeline) owned: OwnedFolder,
     places: RunFolder,
 }
 
@@ -59,7 +59,7 @@ pub struct Marker {
 }
 
 impl Marker {
-    fn is_complete(&self, output: &Path) -> bool {
+    pub(in crate::pipeline) fn is_complete(&self, output: &Path) -> bool {
         self.outputs.iter().all(|path| output.join(path).exists())
     }
 }
@@ -87,29 +87,6 @@ impl Workspace {
         let owned = OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place)?;
         let places = RunFolder::at(owned.root());
         Ok(Self { owned, places })
-    }
-
-    /// Returns true if a folder was made by a run.
-    pub fn is_own(output: &Path) -> bool {
-        OwnedFolder::is_own(output, RunFolder::MADE_BY)
-    }
-
-    /// Says what the results are made from; results of another input go, if that is allowed.
-    ///
-    /// # Errors
-    /// [`PipelineError::Folder`] where it is not.
-    pub fn claim(&self, input: InputIdentity, overwrite: Overwrite) -> Result<()> {
-        Ok(self.owned.claim(input, overwrite == Overwrite::AnyInput)?)
-    }
-
-    /// The input of the results in an output folder, where its manifest says it.
-    pub(in crate::pipeline) fn input_of(output: &Path) -> Option<InputIdentity> {
-        OwnedFolder::input_of(output, RunFolder::MADE_BY)
-    }
-
-    /// Input of the results.
-    pub fn claimed_by(&self) -> Option<InputIdentity> {
-        self.owned.input()
     }
 
     /// Puts a public file in its place, whole, through `fill`, which is given the path.
@@ -153,11 +130,6 @@ impl Workspace {
         state_of(self.root(), name)
     }
 
-    /// The folder of objects' models that are not yet compared with the masks; there only while that is to be done.
-    pub fn unchecked_objects(&self) -> PathBuf {
-        self.state("objects-unchecked")
-    }
-
     /// Marker of a stage, if it can be read.
     pub fn marker(&self, stage: Stage) -> Option<Marker> {
         self.read_state(&marker_name(stage)).ok()
@@ -171,21 +143,6 @@ impl Workspace {
     /// Says that a stage is not done. To be called before its results are touched.
     pub fn clear_marker(&self, stage: Stage) -> Result<()> {
         Ok(atomic::remove(&self.state(&marker_name(stage)))?)
-    }
-
-    /// Returns true if a process uses an output folder.
-    pub(in crate::pipeline) fn is_busy(output: &Path) -> bool {
-        OwnedFolder::is_busy(output)
-    }
-
-    /// Returns true if a stage is marked as done in an output folder and all its outputs exist.
-    pub(in crate::pipeline) fn has_results_of(output: &Path, stage: Stage) -> bool {
-        read_state(output, &marker_name(stage)).is_ok_and(|marker: Marker| marker.is_complete(output))
-    }
-
-    /// Returns true if every output of a marked stage still exists.
-    pub fn has_outputs(&self, marker: &Marker) -> bool {
-        marker.is_complete(self.root())
     }
 
     /// Reads a value that [`Workspace::write_state`] wrote.
@@ -202,31 +159,26 @@ impl Workspace {
     }
 
     /// Creates the folder for intermediate files of a stage's fingerprint, if it is not there.
-    pub fn intermediate(&self, prefix: &str, fingerprint: &str) -> Result<PathBuf> {
-        let folder = self.state(&fingerprint::folder_name(prefix, fingerprint));
+    pub fn intermediate(&self, stage: Stage, fingerprint: &str) -> Result<PathBuf> {
+        let folder = self.state(&fingerprint::folder_name(stage, fingerprint));
         atomic::create_folders(&folder)?;
         Ok(folder)
     }
 
     /// Removes the folders for intermediate files of other fingerprints: they belong to other options.
-    pub fn remove_intermediate(&self, prefix: &str, fingerprint: &str) -> Result<()> {
-        let keep = fingerprint::folder_name(prefix, fingerprint);
+    pub fn remove_intermediate(&self, stage: Stage, fingerprint: &str) -> Result<()> {
+        let (keep, prefix) = (fingerprint::folder_name(stage, fingerprint), format!("{stage}-"));
         let state = self.root().join(RunFolder::STATE);
         for entry in fs::read_dir(&state).map_err(IoError::system("read", &state))? {
             let entry = entry.map_err(IoError::system("read", &state))?;
             let name = entry.file_name();
             let name = name.to_string_lossy();
             let is_fingerprint = |rest: &str| !rest.is_empty() && rest.chars().all(|c| c.is_ascii_hexdigit());
-            if name != keep && name.strip_prefix(prefix).is_some_and(is_fingerprint) {
-                self.remove_state(&entry.path())?;
+            if name != keep && name.strip_prefix(&prefix).is_some_and(is_fingerprint) {
+                atomic::remove_folder(&entry.path())?;
             }
         }
         Ok(())
-    }
-
-    /// Removes a folder of the run's own, if it is there.
-    pub fn remove_state(&self, path: &Path) -> Result<()> {
-        Ok(atomic::remove_folder(path)?)
     }
 }
 
@@ -242,7 +194,7 @@ pub(in crate::pipeline) fn read_state<T: DeserializeOwned>(output: &Path, name: 
     serde_json::from_slice(&bytes).map_err(|error| damaged(&path, error))
 }
 
-fn marker_name(stage: Stage) -> String {
+pub(in crate::pipeline) fn marker_name(stage: Stage) -> String {
     format!("{stage}.json")
 }
 
@@ -283,9 +235,9 @@ mod tests {
         };
         workspace.set_marker(Stage::Track, &marker).unwrap();
         assert_eq!(workspace.marker(Stage::Track).as_ref(), Some(&marker));
-        assert!(!workspace.has_outputs(&marker));
+        assert!(!marker.is_complete(folder.path()));
         fs::create_dir(workspace.tracks()).unwrap();
-        assert!(workspace.has_outputs(&marker));
+        assert!(marker.is_complete(folder.path()));
         fs::write(workspace.state("track.json"), b"{\"finger").unwrap();
         assert_eq!(workspace.marker(Stage::Track), None);
         workspace.clear_marker(Stage::Track).unwrap();

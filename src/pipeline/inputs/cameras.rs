@@ -167,14 +167,15 @@ fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Resu
     match (given.iter().any(Option::is_some), cameras.as_slice()) {
         (true, _) => Ok(given),
         (false, [only]) => Ok(of_first(*only)),
-        (false, _) => Err(PipelineError::Options(format!(
-            "{}: expected exactly one camera, or one per image size; none of its {} is for {}x{} pixels",
-            path.display(),
-            cameras.len(),
-            first.0,
-            first.1
-        ))),
+        (false, _) => {
+            Err(not_one(path, format!("none of its {} is for {}x{} pixels", cameras.len(), first.0, first.1)))
+        }
     }
+}
+
+fn not_one(path: &Path, problem: String) -> PipelineError {
+    let path = path.display();
+    PipelineError::Options(format!("{path}: expected exactly one camera, or one per image size; {problem}"))
 }
 
 /// The one camera of a file that has the size of the pictures, as they are stored or as they are given out.
@@ -184,12 +185,7 @@ fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<
         let mut found = cameras.iter().filter(|camera| (camera.width, camera.height) == (width, height));
         match (found.next(), found.next()) {
             (Some(camera), None) => return Ok(Some(camera.resized(pictures.width, pictures.height))),
-            (Some(_), Some(_)) => {
-                return Err(PipelineError::Options(format!(
-                    "{}: expected exactly one camera, or one per image size; several are for {width}x{height} pixels",
-                    path.display()
-                )));
-            }
+            (Some(_), Some(_)) => return Err(not_one(path, format!("several are for {width}x{height} pixels"))),
             (None, _) => {}
         }
     }

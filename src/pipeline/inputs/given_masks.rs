@@ -71,7 +71,7 @@ impl MaskFolder {
         match masks::read_label_map(path, self.size) {
             Ok(labels) => Ok(Some(labels)),
             Err(IoError::WrongSize { found, .. }) if found == self.source_size || found == self.stored_size => {
-                Ok(Some(resampled(&masks::read_label_map(path, found)?, self.size)))
+                Ok(Some(masks::read_label_map(path, found)?.resized(self.size)))
             }
             Err(IoError::WrongSize { found, .. }) => Err(self.wrong_size(path, found)),
             Err(error) => Err(error.into()),
@@ -117,17 +117,6 @@ impl MaskFolder {
 
 fn assign<'a>(frames: &[Frame], file: impl Fn(&Frame) -> Option<&'a PathBuf>) -> BTreeMap<FrameId, PathBuf> {
     frames.iter().filter_map(|frame| Some((frame.id, file(frame)?.clone()))).collect()
-}
-
-/// The label under the center of every pixel of an image of another size.
-fn resampled(labels: &LabelMap, (width, height): (u32, u32)) -> LabelMap {
-    let source = |k: u32, to: u32, from: u32| (u64::from(2 * k + 1) * u64::from(from) / u64::from(2 * to)) as usize;
-    let mut out = Vec::with_capacity(width as usize * height as usize);
-    for y in 0..height {
-        let row = source(y, height, labels.height) * labels.width as usize;
-        out.extend((0..width).map(|x| labels.labels[row + source(x, width, labels.width)]));
-    }
-    LabelMap { width, height, labels: out }
 }
 
 #[cfg(test)]

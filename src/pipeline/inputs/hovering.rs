@@ -1,5 +1,6 @@
 //! Evidence on a camera that does not translate: options, a log, and points of a map.
 
+use std::fmt::Display;
 use std::path::Path;
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -261,7 +262,12 @@ struct Geometry {
 struct Properties {
     x: f64,
     y: f64,
-    frame: Option<u32>,
+    frame: Option<FrameId>,
+}
+
+/// Error of a file of points.
+fn wrong(path: &Path, problem: impl Display) -> PipelineError {
+    PipelineError::Options(format!("--map-points: {}: {problem}", path.display()))
 }
 
 /// Reads the points of a map that are given, so that a fault in them is found at once.
@@ -269,7 +275,7 @@ struct Properties {
 /// # Errors
 /// [`PipelineError::Options`] says what is wrong with which point.
 pub fn check_map_points(options: &MetricOptions) -> Result<()> {
-    options.map_points.as_deref().map_or(Ok(()), |path| read_map_points(path).map(drop))
+    options.map_points.as_deref().map_or(Ok(()), |path| Survey::read(path).map(drop))
 }
 
 /// Looks whether the points of a map lie in the frames of a run; `frames` must be done.
@@ -279,57 +285,22 @@ pub fn check_map_points(options: &MetricOptions) -> Result<()> {
 pub(in crate::pipeline) fn check_map_points_in_frames(run: &Run) -> Result<()> {
     let Some(path) = &run.options.metric.map_points else { return Ok(()) };
     let frames = run.frames()?;
-    for (number, point) in (1..).zip(read_map_points(path)?) {
-        if let Some(fault) = point.fault(run.size(), frames) {
-            return Err(PipelineError::Options(format!("--map-points: {}: point {number}: {fault}", path.display())));
+    let (width, height) = run.size();
+    for (number, Picked { pixel, frame, .. }) in (1..).zip(Survey::read(path)?.picked) {
+        if let Some(FrameId(frame)) = frame.filter(|frame| !frames.iter().any(|known| known.id == *frame)) {
+            return Err(wrong(path, format!("point {number}: there is no frame {frame}")));
+        }
+        if !is_in_frame(pixel, (width, height)) {
+            let [x, y] = [pixel.x, pixel.y];
+            return Err(wrong(path, format!("point {number}: pixel ({x}, {y}) is outside {width}x{height}")));
         }
     }
     Ok(())
 }
 
-impl Picked {
-    /// Why the frames do not show it.
-    fn fault(&self, (width, height): (u32, u32), frames: &[Frame]) -> Option<String> {
-        let pixel = self.pixel;
-        match self.frame.filter(|frame| !frames.iter().any(|known| known.id == *frame)) {
-            Some(FrameId(frame)) => Some(format!("there is no frame {frame}")),
-            None => (!is_in_frame(self.pixel, (width, height)))
-                .then(|| format!("pixel ({}, {}) is outside {width}x{height}", pixel.x, pixel.y)),
-        }
-    }
-}
-
 /// Returns true if a position lies in a frame, its edge included: a corner of the frame is a place on the map, too.
 fn is_in_frame(pixel: Point2<f64>, (width, height): (u32, u32)) -> bool {
     (0.0..=f64::from(width)).contains(&pixel.x) && (0.0..=f64::from(height)).contains(&pixel.y)
-}
-
-/// Reads points of a map.
-///
-/// # Errors
-/// [`PipelineError::Options`] says what is wrong with which point.
-fn read_map_points(path: &Path) -> Result<Vec<Picked>> {
-    let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
-    let collection: Collection = io::json::read_model(path, "a GeoJSON collection of points with properties x and y")?;
-    let point = |(number, Feature { geometry, properties }): (usize, Feature)| {
-        let [longitude_deg, latitude_deg] = match geometry.coordinates[..] {
-            [longitude, latitude, ..] if geometry.r#type == "Point" => [longitude, latitude],
-            _ => return Err(wrong(format!("point {number} is no Point with longitude and latitude"))),
-        };
-        if !(-180.0..=180.0).contains(&longitude_deg) || !(-90.0..=90.0).contains(&latitude_deg) {
-            return Err(wrong(format!(
-                "point {number}: expected degrees, longitude first; export as WGS 84 (EPSG:4326)"
-            )));
-        }
-        let height_m = geometry.coordinates.get(2).copied();
-        let Properties { x, y, frame } = properties;
-        Ok(Picked { pixel: Point2::new(x, y), frame: frame.map(FrameId), longitude_deg, latitude_deg, height_m })
-    };
-    let points: Vec<Picked> = (1..).zip(collection.features).map(point).collect::<Result<_, _>>()?;
-    match points.len() {
-        0..FEWEST_POINTS => Err(wrong(format!("{} points; at least {FEWEST_POINTS} needed", points.len()))),
-        _ => Ok(points),
-    }
 }
 
 /// Fewest points of a map: a homography has eight numbers.
@@ -352,8 +323,30 @@ struct Survey {
 }
 
 impl Survey {
+    /// Reads points of a map.
+    ///
+    /// # Errors
+    /// [`PipelineError::Options`] says what is wrong with which point.
     fn read(path: &Path) -> Result<Self> {
-        let picked = read_map_points(path)?;
+        let collection: Collection =
+            io::json::read_model(path, "a GeoJSON collection of points with properties x and y")?;
+        let point = |(number, Feature { geometry, properties }): (usize, Feature)| {
+            let [longitude_deg, latitude_deg] = match geometry.coordinates[..] {
+                [longitude, latitude, ..] if geometry.r#type == "Point" => [longitude, latitude],
+                _ => return Err(wrong(path, format!("point {number} is no Point with longitude and latitude"))),
+            };
+            if !(-180.0..=180.0).contains(&longitude_deg) || !(-90.0..=90.0).contains(&latitude_deg) {
+                let cure = "expected degrees, longitude first; export as WGS 84 (EPSG:4326)";
+                return Err(wrong(path, format!("point {number}: {cure}")));
+            }
+            let height_m = geometry.coordinates.get(2).copied();
+            let Properties { x, y, frame } = properties;
+            Ok(Picked { pixel: Point2::new(x, y), frame, longitude_deg, latitude_deg, height_m })
+        };
+        let picked: Vec<Picked> = (1..).zip(collection.features).map(point).collect::<Result<_, _>>()?;
+        if picked.len() < FEWEST_POINTS {
+            return Err(wrong(path, format!("{} points; at least {FEWEST_POINTS} needed", picked.len())));
+        }
         let mean = |value: &dyn Fn(&Picked) -> f64| picked.iter().map(value).sum::<f64>() / picked.len() as f64;
         let knows_height = picked.iter().all(|point| point.height_m.is_some());
         let origin = MapOrigin {
@@ -405,11 +398,10 @@ impl Survey {
 /// [`PipelineError::Options`] where they place no camera.
 pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal_std: f64) -> Result<Option<OnMap>> {
     let Some(path) = &options.map_points else { return Ok(None) };
-    let wrong = |problem: String| PipelineError::Options(format!("--map-points: {}: {problem}", path.display()));
     let survey = Survey::read(path)?;
-    survey.points(background, 0.0).map_err(wrong)?;
+    survey.points(background, 0.0).map_err(|problem| wrong(path, problem))?;
     let points_at = |log_focal| survey.points(background, log_focal).unwrap_or_default();
-    let alignment = camera_over_map(points_at, focal_std).map_err(|error| wrong(error.to_string()))?;
+    let alignment = camera_over_map(points_at, focal_std).map_err(|error| wrong(path, error))?;
     Ok(Some(OnMap { alignment, map: survey.map }))
 }
 
@@ -437,21 +429,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_of_a_map_lie_in_frames_that_exist_edges_included() {
-        let frames: Vec<Frame> =
-            (0..3).map(|k| Frame { id: FrameId(k), name: format!("{k}.jpg"), time_s: f64::from(k) }).collect();
-        let fault = |x, y, frame: Option<u32>| {
-            let pixel = Point2::new(x, y);
-            let point =
-                Picked { pixel, frame: frame.map(FrameId), longitude_deg: 0.0, latitude_deg: 0.0, height_m: None };
-            point.fault((1920, 1080), &frames)
-        };
-        assert_eq!(
-            [fault(0.0, 0.0, None), fault(1920.0, 1080.0, Some(2)), fault(5.0, 5.0, Some(0))],
-            [None, None, None]
-        );
-        assert!(fault(1920.5, 4.0, None).unwrap().contains("outside 1920x1080"));
-        assert!(fault(f64::NAN, 4.0, None).is_some());
-        assert!(fault(4.0, 4.0, Some(3)).unwrap().contains("no frame 3"));
+    fn points_of_a_map_lie_in_frames_edges_included() {
+        let inside = |x, y| is_in_frame(Point2::new(x, y), (1920, 1080));
+        assert!(inside(0.0, 0.0) && inside(1920.0, 1080.0) && inside(5.0, 5.0));
+        assert!(!inside(1920.5, 4.0) && !inside(f64::NAN, 4.0));
     }
 }

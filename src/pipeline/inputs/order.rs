@@ -1,14 +1,13 @@
 //! Temporal order of the images, and the front end that follows from it.
 
-use crate::features;
 use std::collections::BTreeSet;
 
 use serde::{Deserialize, Serialize};
 
-use crate::features::{FrontEndKind, Target};
+use crate::features::{self, FrontEndKind, Target};
 use crate::image::gray_from_rgb;
 use crate::math::upper_median;
-use crate::pipeline::driver::run::Run;
+use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::options::{FeatureKind, FrameOrder};
 use crate::pipeline::{Options, Result};
 use crate::scene::{Frame, FrameId};
@@ -16,7 +15,7 @@ use crate::sfm;
 use crate::video::Kind;
 
 /// Where the order is written down.
-pub(in crate::pipeline) const STATE: &str = "frames-order.json";
+const STATE: &str = "frames-order.json";
 
 /// Share of followed corners from which on pictures count as frames of a video.
 const FOLLOWED_SHARE: f64 = 0.6;
@@ -62,12 +61,12 @@ pub(in crate::pipeline) fn of_options(options: &Options) -> Option<bool> {
 }
 
 /// Finds the order and writes it down for later stages.
-pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame]) -> Result<Order> {
+pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame], outcome: &mut Outcome) -> Result<Order> {
     let order = match stated(run) {
         Some(in_time) => Order { in_time, followed_share: None },
         None => measured(run, frames)?,
     };
-    run.workspace.write_state(STATE, &order)?;
+    run.keep(STATE, &order, outcome)?;
     Ok(order)
 }
 

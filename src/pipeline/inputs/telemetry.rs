@@ -120,8 +120,7 @@ fn named(path: &Path, run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
                     format!("{path}: {num_unmatched} of {num_fixes} image names match no frame; check the names");
                 outcome.warn(Topic::TelemetryLinesSkipped.warning(text));
             }
-            let found = Telemetry { log, path: path.to_owned(), origin: Origin::ByName };
-            (!found.log.fixes.is_empty()).then_some(found)
+            (!log.fixes.is_empty()).then(|| Telemetry { log, path: path.to_owned(), origin: Origin::ByName })
         }
         Ok(log) => Some(Telemetry { log, path: path.to_owned(), origin: Origin::Named }),
         Err(error) => {
@@ -150,14 +149,12 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
 
 fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let video = run.input();
-    match telemetry_inside(video, run.options.video.track)? {
-        Ok(log) => Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside }),
-        Err(error) => {
-            let text = format!("data in the video ignored as telemetry: {}", with_causes(&error));
-            outcome.mention(Topic::TelemetryUnreadable.warning(text));
-            None
-        }
-    }
+    let warning = |error: TelemetryError| {
+        let text = format!("data in the video ignored as telemetry: {}", with_causes(&error));
+        outcome.mention(Topic::TelemetryUnreadable.warning(text));
+    };
+    let log = telemetry_inside(video, run.options.video.track).map_err(warning).ok()??;
+    Some(Telemetry { log, path: video.to_owned(), origin: Origin::Inside })
 }
 
 /// Reads the telemetry of a log file, a folder of photographs, or a video.
@@ -167,7 +164,7 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
 pub fn telemetry_of(path: &Path, memory: MemoryLimit) -> Result<Log, TelemetryError> {
     match telemetry::read_within(path, memory) {
         Err(error @ (TelemetryError::Unknown { .. } | TelemetryError::TooLarge { .. })) => {
-            telemetry_inside(path, None).unwrap_or(Err(error))
+            telemetry_inside(path, None)?.ok_or(error)
         }
         found => found,
     }
@@ -180,41 +177,34 @@ pub fn telemetry_of(path: &Path, memory: MemoryLimit) -> Result<Log, TelemetryEr
 ///
 /// # Errors
 /// [`TelemetryError::NoFix`] where the track says something else; [`TelemetryError::Playlist`].
-fn telemetry_inside(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
+fn telemetry_inside(video: &Path, track: Option<u32>) -> Result<Option<Log>, TelemetryError> {
     match in_text_track(video, track) {
-        Some(Err(error @ TelemetryError::NoFix { .. })) => Some(in_gpmf_track(video, track).unwrap_or(Err(error))),
-        None => in_gpmf_track(video, track),
+        Err(error @ TelemetryError::NoFix { .. }) => in_gpmf_track(video, track)?.ok_or(error).map(Some),
+        Ok(None) => in_gpmf_track(video, track),
         found => found,
     }
 }
 
-/// Content of a track of a video.
-fn content<T>(found: Result<T, VideoError>) -> Option<Result<T, TelemetryError>> {
+/// Content of a track of a video; `None` where it cannot be read as one.
+fn content<T>(found: Result<T, VideoError>) -> Result<Option<T>, TelemetryError> {
     match found {
-        Ok(content) => Some(Ok(content)),
+        Ok(content) => Ok(Some(content)),
         Err(VideoError::TextTooLarge { path, limit }) => {
-            let (size_mib, most_mib) = (limit >> 20, limit >> 20);
-            Some(Err(TelemetryError::TooLarge { path, size_mib, most_mib }))
+            Err(TelemetryError::TooLarge { path, size_mib: limit >> 20, most_mib: limit >> 20 })
         }
-        Err(VideoError::Playlist { path, format }) => Some(Err(TelemetryError::Playlist { path, format })),
-        Err(_) => None,
+        Err(VideoError::Playlist { path, format }) => Err(TelemetryError::Playlist { path, format }),
+        Err(_) => Ok(None),
     }
 }
 
-fn in_gpmf_track(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
-    let found = match content(video::gpmf(video, track))? {
-        Ok(found) => found?,
-        Err(error) => return Some(Err(error)),
-    };
-    Some(telemetry::read_gpmf(&found.payloads, &found.settings, video, MemoryLimit::of_machine()))
+fn in_gpmf_track(video: &Path, track: Option<u32>) -> Result<Option<Log>, TelemetryError> {
+    let Some(found) = content(video::gpmf(video, track))?.flatten() else { return Ok(None) };
+    telemetry::read_gpmf(&found.payloads, &found.settings, video, MemoryLimit::of_machine()).map(Some)
 }
 
-fn in_text_track(video: &Path, track: Option<u32>) -> Option<Result<Log, TelemetryError>> {
-    match content(video::subtitles(video, track))? {
-        Ok(entries) if entries.is_empty() => None,
-        Ok(entries) => Some(telemetry::read_subtitles(&entries, video)),
-        Err(error) => Some(Err(error)),
-    }
+fn in_text_track(video: &Path, track: Option<u32>) -> Result<Option<Log>, TelemetryError> {
+    let entries = content(video::subtitles(video, track))?.unwrap_or_default();
+    (!entries.is_empty()).then(|| telemetry::read_subtitles(&entries, video)).transpose()
 }
 
 fn photographs(run: &Run) -> Option<Telemetry> {
@@ -342,7 +332,7 @@ mod tests {
         fs::write(&path, "#EXTM3U\n#EXT-X-TARGETDURATION:2\n#EXTINF:1.0,\na.mp4\n#EXT-X-ENDLIST\n").unwrap();
         assert!(matches!(telemetry::read(&path), Err(TelemetryError::Unknown { .. })));
         let found = telemetry_inside(&path, None);
-        assert!(matches!(&found, Some(Err(TelemetryError::Playlist { format, .. })) if format == "hls"), "{found:?}");
+        assert!(matches!(&found, Err(TelemetryError::Playlist { format, .. }) if format == "hls"), "{found:?}");
         let mut options = crate::pipeline::Options::default();
         options.metric.telemetry = TelemetryChoice::File(path);
         let refused = crate::pipeline::stages::metric::check(&options).unwrap_err();

@@ -19,7 +19,6 @@ use serde::{Deserialize, Serialize};
 pub use ablation::Ablation;
 pub use method::Method;
 pub use metres::{MetricOptions, TelemetryChoice};
-pub(in crate::pipeline) use public::from_json as options_from_json;
 pub use reference::{OptionRow, OptionSection};
 pub use vehicles::{DetectorChoice, MaskChoice, MotionChoice, VehicleOptions};
 

@@ -6,8 +6,6 @@
 
 use std::sync::LazyLock;
 
-use serde::de::Error as _;
-use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Value, json};
 
 use super::Options;
@@ -64,23 +62,14 @@ impl Options {
     pub fn to_json(&self) -> Value {
         let mut public = json!(self);
         let mut tuning = Value::Null;
-        for path in schema::paths(schema::root(), "").iter().filter(|path| !is_public(path)) {
+        for (path, _) in schema::leaves(schema::root(), "").iter().filter(|(path, _)| !is_public(path)) {
             if let Some(value) = take(&mut public, path) {
-                put(&mut tuning, path, value);
+                path.split('.').fold(&mut tuning, |group, name| &mut group[name]).clone_from(&value);
             }
         }
         public[TUNING] = tuning;
         public
     }
-}
-
-/// Reads options from JSON as [`Options::to_json`] writes them, for fields of files that hold them.
-///
-/// # Errors
-/// A tree that is none of options.
-pub(in crate::pipeline) fn from_json<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Options, D::Error> {
-    let given = Value::deserialize(deserializer)?;
-    Options::default().with_tree(&given).map_err(D::Error::custom)
 }
 
 /// Removes a value, and the groups that become empty.
@@ -95,18 +84,14 @@ fn take(tree: &mut Value, path: &str) -> Option<Value> {
     Some(value)
 }
 
-fn put(tree: &mut Value, path: &str, value: Value) {
-    path.split('.').fold(tree, |group, name| &mut group[name]).clone_from(&value);
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn public_options_exist_and_are_at_most_sixty() {
-        let all = schema::paths(schema::root(), "");
-        assert!(PATHS.iter().all(|path| all.contains(path)), "{all:?}");
+        let all: Vec<String> = schema::leaves(schema::root(), "").into_iter().map(|(path, _)| path).collect();
+        assert!(PATHS.iter().all(|path| all.iter().any(|known| known == path)), "{all:?}");
         assert!(PATHS.len() <= 60);
     }
 

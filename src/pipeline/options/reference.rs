@@ -4,7 +4,7 @@ use serde_json::{Value, json};
 
 use super::Options;
 use super::public::{is_public, spelled};
-use super::schema::{self, Node, join};
+use super::schema::{self, Node, pointer};
 use crate::features::Target;
 use crate::sfm;
 
@@ -46,18 +46,18 @@ impl Options {
 
     /// The public options with their defaults.
     pub fn reference() -> Vec<OptionSection> {
-        let (tree, schema) = (json!(Self::default()), schema::root());
+        let (trees, schema) = ([json!(Self::default())], schema::root());
         let Node::Group(known) = Node::of(schema) else { return Vec::new() };
         let (groups, values): (Vec<_>, Vec<_>) =
             known.iter().partition(|(_, schema)| matches!(Node::of(schema), Node::Group(_)));
-        let values = values.into_iter().flat_map(|(name, schema)| rows(schema, name, &[tree[name].clone()])).collect();
+        let values = values.into_iter().flat_map(|(name, schema)| rows(schema, name, &trees)).collect();
         let mut sections = vec![section("The root".to_owned(), schema::described(schema), values)];
         for (name, schema) in groups {
             match name.as_str() {
                 "background" => sections.extend(targets(schema)),
                 "objects" => {}
                 _ => {
-                    let mut rows = rows(schema, name, &[tree[name].clone()]);
+                    let mut rows = rows(schema, name, &trees);
                     rows.retain(|row| row.is_public);
                     sections.push(section(format!("`{name}`"), schema::described(schema), rows));
                 }
@@ -74,7 +74,7 @@ fn section(title: String, about: String, rows: Vec<OptionRow>) -> OptionSection 
 
 /// The options of structure from motion, which background and objects have in common.
 fn targets(schema: &Value) -> Vec<OptionSection> {
-    let trees = [Target::Background, Target::Object].map(|target| json!(sfm::Options::of(target)));
+    let trees = [Target::Background, Target::Object].map(|target| json!({ "background": sfm::Options::of(target) }));
     let mut rows = rows(schema, "background", &trees);
     rows.retain(|row| row.is_public);
     for row in &mut rows {
@@ -89,19 +89,18 @@ fn targets(schema: &Value) -> Vec<OptionSection> {
 }
 
 /// The options at and below a place of the tree.
+///
+/// * `trees` – whole trees, whose values are given.
 fn rows(schema: &Value, path: &str, trees: &[Value]) -> Vec<OptionRow> {
-    let below = |(name, schema): (&String, &Value)| {
-        let trees: Vec<Value> = trees.iter().map(|tree| tree[name].clone()).collect();
-        rows(schema, &join(path, name), &trees)
+    let row = |(path, schema): (String, &Value)| OptionRow {
+        key: spelled(&path),
+        is_public: is_public(&path),
+        values: trees
+            .iter()
+            .map(|tree| schema::written(schema, &tree.pointer(&pointer(&path)).cloned().unwrap_or_default()))
+            .collect(),
+        unit: schema::unit(&path, schema),
+        effect: schema::effect(schema),
     };
-    match Node::of(schema) {
-        Node::Group(known) => known.iter().flat_map(below).collect(),
-        Node::ById | Node::Leaf => vec![OptionRow {
-            key: spelled(path),
-            is_public: is_public(path),
-            values: trees.iter().map(|value| schema::written(schema, value)).collect(),
-            unit: schema::unit(path, schema),
-            effect: schema::effect(schema),
-        }],
-    }
+    schema::leaves(schema, path).into_iter().map(row).collect()
 }

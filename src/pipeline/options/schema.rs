@@ -46,12 +46,17 @@ pub(super) fn join(group: &str, name: &str) -> String {
     if group.is_empty() { name.to_owned() } else { format!("{group}.{name}") }
 }
 
-/// The paths of all options.
-pub(super) fn paths(schema: &Value, path: &str) -> Vec<String> {
+/// The options at and below a place of the tree: their paths and schemas.
+pub(super) fn leaves<'a>(schema: &'a Value, path: &str) -> Vec<(String, &'a Value)> {
     match Node::of(schema) {
-        Node::Group(options) => options.iter().flat_map(|(name, schema)| paths(schema, &join(path, name))).collect(),
-        Node::ById | Node::Leaf => vec![path.to_owned()],
+        Node::Group(options) => options.iter().flat_map(|(name, schema)| leaves(schema, &join(path, name))).collect(),
+        Node::ById | Node::Leaf => vec![(path.to_owned(), schema)],
     }
+}
+
+/// A path as `serde_json` wants it.
+pub(super) fn pointer(path: &str) -> String {
+    path.split('.').filter(|name| !name.is_empty()).map(|name| format!("/{name}")).collect()
 }
 
 /// Effect of an option, and the meaning of each of its choices.

@@ -8,7 +8,7 @@ use serde_json::{Map, Value, json};
 
 use super::Options;
 use super::public::{TUNING, in_tree, spelled};
-use super::schema::{self, Node, join};
+use super::schema::{self, Node, join, pointer};
 use crate::checks::{Checked, OptionError};
 
 impl Options {
@@ -123,11 +123,6 @@ fn tree(options: &Options) -> Value {
     json!(options)
 }
 
-/// A path as `serde_json` wants it.
-fn pointer(path: &str) -> String {
-    path.split('.').filter(|name| !name.is_empty()).map(|name| format!("/{name}")).collect()
-}
-
 fn unknown(path: &str, name: &str, names: &[&str]) -> OptionError {
     let place = if path.is_empty() { "the tree" } else { path };
     let meant = meant(path, name, names).map_or_else(|| ".".to_owned(), |meant| format!("; did you mean {meant}?"));
@@ -141,10 +136,9 @@ fn meant(path: &str, name: &str, names: &[&str]) -> Option<String> {
     if let Some((_, nearest)) = near.max_by(|a, b| a.0.total_cmp(&b.0)) {
         return Some(spelled(&join(path, nearest)));
     }
-    let all = schema::paths(schema::root(), "");
-    let mut namesakes: Vec<String> = all.into_iter().filter(|path| path.rsplit('.').next() == Some(name)).collect();
-    namesakes.dedup();
-    let namesakes: Vec<String> = namesakes.iter().map(|path| spelled(path)).collect();
+    let all = schema::leaves(schema::root(), "").into_iter().map(|(path, _)| path);
+    let namesakes = all.filter(|path| path.rsplit('.').next() == Some(name));
+    let namesakes: Vec<String> = namesakes.map(|path| spelled(&path)).collect();
     (!namesakes.is_empty()).then(|| namesakes.join(" or "))
 }
 

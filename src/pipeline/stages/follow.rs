@@ -14,8 +14,6 @@ use crate::pipeline::inputs::{cameras, images, order};
 use crate::pipeline::{Result, Stage};
 use crate::scene::ObjectId;
 
-pub(in crate::pipeline) const PREFIX: &str = "follow-";
-
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let camera = cameras::first(run)?.camera;
     let (_, objects) = order::sfm_options(run)?;
@@ -28,7 +26,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let objects = run.workspace.read_tracked()?;
     track::check_ids(run, &objects, outcome)?;
     let camera = cameras::first(run)?.camera;
@@ -55,7 +53,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
         Ok(())
     })?;
 
-    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
+    let folder = run.workspace.intermediate(Stage::Follow, &outcome.fingerprint)?;
     for (id, front_end) in front_ends {
         intermediate::write(&tracks_of(&folder, &id.to_string()), &front_end.finish(options.seed)?)?;
     }
@@ -65,5 +63,5 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
 
 /// The tracks of one object; the stage must be done.
 pub(in crate::pipeline) fn of_object(run: &Run, id: ObjectId) -> Result<TrackTable> {
-    intermediate::read(&tracks_of(&run.folder(PREFIX, Stage::Follow), &id.to_string()))
+    intermediate::read(&tracks_of(&run.folder(Stage::Follow), &id.to_string()))
 }

@@ -4,18 +4,17 @@ use serde_json::{Value, json};
 
 use crate::pipeline::Result;
 use crate::pipeline::driver::run::{FRAMES, Outcome, Run};
-use crate::pipeline::inputs::cameras;
-use crate::pipeline::inputs::order;
+use crate::pipeline::inputs::{cameras, order};
 use crate::scene::{TimeBase, Topic};
 use crate::video::Kind;
 
-pub(in crate::pipeline) fn cache_key(run: &Run, input: &str) -> Value {
-    json!({ "input": input, "video": run.options.video, "in_time": order::stated(run) })
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
+    Ok(json!({ "input": run.content, "video": run.options.video, "in_time": order::stated(run) }))
 }
 
 pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let scan = run.source.scan()?;
-    let order = order::find(run, &scan.frames)?;
+    let order = order::find(run, &scan.frames, outcome)?;
     let (frames, left_out) = match order.in_time {
         true => cameras::of_one_size(run.source, scan.frames),
         false => (scan.frames, Vec::new()),
@@ -44,6 +43,5 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     if let Some(share) = order.followed_share {
         outcome.figure("followed_share", share);
     }
-    outcome.outputs.push(run.workspace.state(order::STATE));
     Ok(())
 }

@@ -25,8 +25,6 @@ use crate::scene::{
 
 /// The name of the sources of planes, for vehicles whose planes are wanted later.
 const SOURCES: &str = "ground-sources.json";
-/// Prefix of the folder of masks that the user's network found.
-pub(in crate::pipeline) const MASKS: &str = "ground-masks-";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let labels = match &run.options.ground_labels {
@@ -52,11 +50,11 @@ pub(super) fn body_shape(options: &Options) -> BodyShape {
     BodyShape { clearance: contact.lowest[0], max_deviation: contact.max_deviation }
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let background = run.workspace.read_background()?;
     let found = match background.is_empty() {
         true => GroundResults::default(),
-        false => find(run, &background, fingerprint, outcome)?,
+        false => find(run, &background, outcome)?,
     };
     let mut ground = Ground { source: found.source(), point_ids: found.point_ids(), planes: BTreeMap::new() };
     let mut bases: BTreeMap<String, BTreeMap<&str, usize>> = BTreeMap::new();
@@ -151,7 +149,7 @@ impl GroundResults {
 }
 
 /// Every source of the chain, for the whole place.
-fn find(run: &Run, background: &Reconstruction, fingerprint: &str, outcome: &mut Outcome) -> Result<GroundResults> {
+fn find(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Result<GroundResults> {
     if background.points.is_empty() {
         let hovering = hovering_ground(run, background)?;
         match &hovering {
@@ -164,19 +162,15 @@ fn find(run: &Run, background: &Reconstruction, fingerprint: &str, outcome: &mut
         }
         return Ok(GroundResults { hovering, ..GroundResults::default() });
     }
-    let labelled = labelled_points(run, background, fingerprint, outcome)?;
+    let labelled = labelled_points(run, background, outcome)?;
     let options = &run.options.ground;
     if options.labels_only {
         return Ok(GroundResults { labelled, ..GroundResults::default() });
     }
-    let dominant = match dominant_plane_points(background, options, run.options.seed) {
-        Ok(plane) => Some(plane),
-        Err(error) if labelled.is_none() => {
-            outcome.warn(Topic::NoGroundFound.warning(format!("no ground found: {error}")));
-            None
-        }
-        Err(_) => None,
-    };
+    let dominant = dominant_plane_points(background, options, run.options.seed);
+    if let (Err(error), None) = (&dominant, &labelled) {
+        outcome.warn(Topic::NoGroundFound.warning(format!("no ground found: {error}")));
+    }
     let points = labelled.as_ref().map(|(_, points)| points.as_slice());
     let of_labels = points.and_then(|points| find_mount(background, Some(points), options, run.options.seed).ok());
     let mount = match of_labels {
@@ -187,7 +181,7 @@ fn find(run: &Run, background: &Reconstruction, fingerprint: &str, outcome: &mut
         Ok(_) => tracing::info!("camera mount: one plane in the camera's frame is the ground"),
         Err(reason) => tracing::debug!("camera mount not assumed: {reason}"),
     }
-    Ok(GroundResults { labelled, dominant, mount: mount.ok(), hovering: None })
+    Ok(GroundResults { labelled, dominant: dominant.ok(), mount: mount.ok(), hovering: None })
 }
 
 /// The ground below a camera that does not translate; `None` where nothing shows it.
@@ -227,7 +221,6 @@ pub(in crate::pipeline) fn sources(run: &Run) -> Result<GroundResults> {
 fn labelled_points(
     run: &Run,
     background: &Reconstruction,
-    fingerprint: &str,
     outcome: &mut Outcome,
 ) -> Result<Option<(GroundSource, Vec<Point3dId>)>> {
     let (source, points) = match &run.options.ground_labels {
@@ -246,7 +239,7 @@ fn labelled_points(
             (GroundSource::Masks, vote_of_masks(run, background, folder, *label, outcome)?)
         }
         GroundLabels::Model(path) => {
-            let folder = ground_masks(run, background, path, fingerprint, outcome)?;
+            let folder = ground_masks(run, background, path, outcome)?;
             (GroundSource::Model, vote_of_masks(run, background, &folder, None, outcome)?)
         }
     };
@@ -306,14 +299,8 @@ pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<GroundSegment
 
 /// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the
 /// answers.
-fn ground_masks(
-    run: &Run,
-    background: &Reconstruction,
-    model: &Path,
-    fingerprint: &str,
-    outcome: &mut Outcome,
-) -> Result<PathBuf> {
-    let folder = run.workspace.intermediate(MASKS, fingerprint)?;
+fn ground_masks(run: &Run, background: &Reconstruction, model: &Path, outcome: &mut Outcome) -> Result<PathBuf> {
+    let folder = run.workspace.intermediate(Stage::Ground, &outcome.fingerprint)?;
     let mut segmenter = load(run, model)?;
     let registered: BTreeSet<&str> = background.images.values().map(|image| image.name.as_str()).collect();
     let is_open = |frame: &&Frame| {

@@ -1,10 +1,9 @@
 //! Stage `report`: the page to look at, from what all stages left behind.
 
 use std::collections::BTreeMap;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 
-use serde::Deserialize;
+use serde_json::Value;
 
 use super::background::{self, ModelReport};
 use super::{objects, scale, track};
@@ -12,11 +11,10 @@ use crate::eval::Evaluation;
 use crate::io::{ExportFolder, IoError, atomic, json};
 use crate::math::rounding::with_std;
 use crate::pipeline::driver::intermediate;
-use crate::pipeline::driver::reopen::{InputJson, check_input};
+use crate::pipeline::driver::reopen::{RunJson, check_input};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::cameras;
 use crate::pipeline::inputs::cameras::CameraOrigin;
-use crate::pipeline::options::options_from_json;
 use crate::pipeline::{Method, Options, Result, Silent, Stage, Workspace};
 use crate::report::{self, Data, Fact, Missing, Model, Object, Part, PictureMaker, Pictures};
 use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
@@ -28,11 +26,12 @@ use crate::video::Kind;
 /// # Errors
 /// The input is no longer where it was, or the run is not finished.
 pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<()> {
-    let told: RunJson = json::read(&workspace.run_json())?;
-    let input = workspace.claimed_by().map_or(told.input.path, |input| input.path);
+    let RunJson { arguments, input, options } = RunJson::read(workspace.root())?;
+    let options = Options::default().with_tree(&Value::Object(options))?;
+    let input = workspace.owned.input().map_or(input.path, |input| input.path);
     check_input(workspace.root(), &input)?;
-    let source = cameras::open(&input, &told.options)?;
-    let mut run = Run::new(&told.options, workspace, &source, &told.arguments, &Silent);
+    let source = cameras::open(&input, &options)?;
+    let mut run = Run::new(&options, workspace, &source, &arguments, &Silent);
     run.recall();
     run_stage(&run, &mut Outcome::default())
 }
@@ -43,15 +42,6 @@ pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<()> {
 /// The input is no longer where it was, the run is not finished, or another run is at work on the folder.
 pub fn link_exports(output: &Path) -> Result<()> {
     renew(&Workspace::open(output)?)
-}
-
-/// Parts of `run.json` that the report uses.
-#[derive(Deserialize)]
-struct RunJson {
-    arguments: Vec<String>,
-    input: InputJson,
-    #[serde(deserialize_with = "options_from_json")]
-    options: Options,
 }
 
 /// Writes the page of `tractrix sfm`, the points of the background and its frame on the map: models are its result.
@@ -70,7 +60,7 @@ pub(in crate::pipeline) fn write_models(run: &Run) -> Result<()> {
     let data = Data {
         metric: metric.as_ref(),
         objects: objects(&tracked, &reports, &object_models, &nothing, &BTreeMap::new(), |_, _| Vec::new()),
-        parts: model_parts(run, &reports),
+        parts: parts(run, &reports, None),
         ..models(run, &background, &tracked)?
     };
     put_page(run, &data)
@@ -117,19 +107,6 @@ fn without_folders(text: &str) -> String {
     text.split(' ').map(bare).collect::<Vec<_>>().join(" ")
 }
 
-/// Files next to the page of `tractrix sfm`.
-fn model_parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Vec<Part> {
-    let folder = &run.workspace;
-    let part = |object, path: PathBuf, holds: &str| part(run, object, &path, holds);
-    let background = [
-        part(None, folder.background(), "cameras and points of the background, as a COLMAP model"),
-        part(None, folder.background_points(), "background points, for viewing"),
-        part(None, folder.run_json(), "options, cost and warnings of the run"),
-    ];
-    let model = |id| part(Some(id), folder.as_reconstructed(id), "cameras and points, as a COLMAP model");
-    background.into_iter().chain(with_model(reports).map(model)).collect()
-}
-
 fn title(run: &Run) -> String {
     run.input().file_name().map_or_else(|| "input".into(), |name| name.to_string_lossy().into_owned())
 }
@@ -141,7 +118,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     let object_models = object_models(&reports, |id| run.workspace.read_object(id))?;
     let trajectories = run.workspace.read_trajectories()?;
     let ground = run.workspace.read_ground()?;
-    let failures = scale::failures(run)?;
+    let failures = scale::results(run)?.failures;
     let evaluation = evaluation(run)?;
     let data = Data {
         metric: trajectories.metric.as_ref(),
@@ -150,7 +127,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
             ratio_per_frame(run, &background, model, &ground, id)
         }),
         evaluation: evaluation.as_ref(),
-        parts: parts(run, &reports, &trajectories),
+        parts: parts(run, &reports, Some(&trajectories)),
         is_sfm: false,
         ..models(run, &background, &tracked)?
     };
@@ -218,34 +195,36 @@ fn evaluation(run: &Run) -> Result<Option<Evaluation>> {
     Ok(if path.exists() { Some(json::read(&path)?) } else { None })
 }
 
-fn part(run: &Run, object: Option<ObjectId>, path: &Path, holds: &str) -> Part {
-    Part { object, path: link(run.workspace.root(), path), holds: holds.into() }
-}
-
-/// Files next to the page.
-fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, trajectories: &Trajectories) -> Vec<Part> {
+/// Files next to the page: those of a page of models come first.
+fn parts(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>, all: Option<&Trajectories>) -> Vec<Part> {
     let folder = &run.workspace;
-    let part = |object, path: PathBuf, holds: &str| part(run, object, &path, holds);
-    let whole = |path: PathBuf, holds: &str| part(None, path, holds);
+    let part =
+        |object, path: PathBuf, holds: &str| Part { object, path: link(folder.root(), &path), holds: holds.into() };
     let mut parts = vec![
-        whole(folder.trajectories(), "trajectories, frame by frame"),
-        whole(folder.run_json(), "options, cost and warnings of the run"),
-        whole(folder.ground(), "ground points, and the local ground plane of every vehicle and frame"),
-        whole(folder.tracks(), "vehicle masks"),
-        whole(folder.background(), "cameras and points of the background, as a COLMAP model"),
-        whole(folder.background_points(), "background points, for viewing"),
+        part(None, folder.background(), "cameras and points of the background, as a COLMAP model"),
+        part(None, folder.background_points(), "background points, for viewing"),
+        part(None, folder.run_json(), "options, cost and warnings of the run"),
     ];
+    let model = "cameras and points, as a COLMAP model";
+    let Some(trajectories) = all else {
+        parts.extend(with_model(reports).map(|id| part(Some(id), folder.as_reconstructed(id), model)));
+        return parts;
+    };
+    parts.extend([
+        part(None, folder.trajectories(), "trajectories, frame by frame"),
+        part(None, folder.ground(), "ground points, and the local ground plane of every vehicle and frame"),
+        part(None, folder.tracks(), "vehicle masks"),
+    ]);
     if folder.evaluation().exists() {
-        parts.push(whole(folder.evaluation(), "comparison with the ground truth"));
+        parts.push(part(None, folder.evaluation(), "comparison with the ground truth"));
     }
-    parts.extend(exported(&folder.exports()).into_iter().map(|(path, holds)| whole(path, &holds)));
+    parts.extend(exported(&folder.exports()).into_iter().map(|(path, holds)| part(None, path, &holds)));
     for id in with_model(reports) {
-        parts.push(part(Some(id), folder.object(id), "cameras and points, as a COLMAP model"));
+        parts.push(part(Some(id), folder.object(id), model));
         parts.push(part(Some(id), folder.as_reconstructed(id), "the same before adjustment with the ground"));
     }
-    for id in trajectories.objects.iter().map(|trajectory| trajectory.id) {
-        parts.push(part(Some(id), folder.object_points(id), "points along the trajectory, for viewing"));
-    }
+    let points = |id| part(Some(id), folder.object_points(id), "points along the trajectory, for viewing");
+    parts.extend(trajectories.objects.iter().map(|trajectory| points(trajectory.id)));
     parts
 }
 
@@ -301,7 +280,7 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
 /// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is made again after an
 /// evaluation or an export.
 fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures> {
-    let folder = run.workspace.intermediate("pictures-", run.fingerprint(Stage::Track))?;
+    let folder = run.folder(Stage::Track);
     let kept = folder.join("pictures.bin");
     if kept.is_file() {
         return intermediate::read(&kept);
@@ -317,10 +296,8 @@ fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures> {
     }
     let made = maker.finish()?;
     intermediate::write(&kept, &made)?;
-    match std::fs::remove_file(&film) {
-        Err(error) if error.kind() != ErrorKind::NotFound => Err(IoError::system("remove", &film)(error).into()),
-        _ => Ok(made),
-    }
+    atomic::remove(&film)?;
+    Ok(made)
 }
 
 fn stages(run: &Run) -> Vec<report::Stage> {
@@ -398,7 +375,8 @@ mod tests {
             let document =
                 serde_json::json!({ "arguments": [], "input": input, "options": options.to_json(), "warnings": [] });
             let read: RunJson = serde_json::from_value(document).unwrap();
-            assert_eq!(read.options, options);
+            let read = Options::default().with_tree(&serde_json::Value::Object(read.options)).unwrap();
+            assert_eq!(read, options);
         }
     }
 

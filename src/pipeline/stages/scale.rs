@@ -17,6 +17,7 @@ use super::track;
 use super::track::movement::PointFindings;
 use super::{ground, objects};
 use crate::ground::HoveringGround;
+use crate::math::rounding::ranges;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::{Result, Stage};
 use crate::scene::{
@@ -32,14 +33,11 @@ use movement::TrajectoryEvidence;
 /// The name of the trajectories as this stage leaves them, in units of the background.
 const IN_UNITS: &str = "scale-trajectories.json";
 
-/// The name of the list of objects without a trajectory, and why.
-const FAILURES: &str = "scale-failures.json";
-
 /// The name of the other results for later stages.
 const RESULTS: &str = "scale-results.json";
 
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
-    json!({ "options": run.options.scale })
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
+    Ok(json!({ "options": run.options.scale }))
 }
 
 pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
@@ -70,15 +68,15 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     outcome.figure("num_moving", tracked.iter().filter(|object| object.movement.state == Movement::Moving).count());
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &tracked))?;
     let objects = with_verdicts(found.placed, verdicts, outcome);
-    let placed =
-        ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures: &found.failures };
+    let failures = &found.results.failures;
+    let placed = ground_tracks::Placed { tracked: &tracked, objects: &objects, reports: &reports, failures };
     let (ground_tracks, without) = ground_tracks::find(&scene, &placed, &mut found.results.bodies);
     if !without.is_empty() {
         outcome.figure("without_ground_track", json!(without));
     }
     for (id, reason) in without {
         let no_model = || reports.get(&id).and_then(|report| report.failure.clone()).unwrap_or_default();
-        let failure = found.failures.entry(id).or_insert_with(no_model);
+        let failure = found.results.failures.entry(id).or_insert_with(no_model);
         *failure += &format!("; no ground track: {reason}");
     }
     let mut all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks };
@@ -87,7 +85,6 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     all.ground_tracks = ground_tracks::decided(all.ground_tracks, &all.objects);
     outcome.figure("num_ground_tracks", all.ground_tracks.len());
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
-    run.keep(FAILURES, &found.failures, outcome)?;
     run.keep(RESULTS, &found.results, outcome)?;
     outcome.outputs.extend([run.workspace.state(IN_UNITS), path]);
     Ok(())
@@ -122,7 +119,6 @@ struct Scene<'a, 'r> {
 #[derive(Default)]
 struct ScaleContext {
     placed: Vec<PlacedVehicle>,
-    failures: BTreeMap<ObjectId, String>,
     results: ScaleResults,
 }
 
@@ -133,6 +129,8 @@ pub(in crate::pipeline) struct ScaleResults {
     /// Of the vehicles with a ground track.
     pub(in crate::pipeline) bodies: BTreeMap<ObjectId, BodyOnGround>,
     pub(in crate::pipeline) pose_covariances: PoseCovariances,
+    /// Why objects have no trajectory although they have a model, or not even a ground track.
+    pub(in crate::pipeline) failures: BTreeMap<ObjectId, String>,
 }
 
 /// Covariances of positions in single frames, in the frame and unit of the background, without those of the ratios.
@@ -279,13 +277,13 @@ impl<'a, 'r> Scene<'a, 'r> {
                     options: &run.options.scale,
                 };
                 let Extents { length, width, height, center } = extents(&subject);
-                found.results.sizes.insert(tracked.id, Size { length, width, height });
+                found.results.sizes.insert(tracked.id, [length, width, height]);
                 let tracked = tracked.clone();
                 found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, level, center });
             }
             Err(reason) => {
                 outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
-                found.failures.insert(tracked.id, reason.to_string());
+                found.results.failures.insert(tracked.id, reason.to_string());
             }
         }
         Ok(())
@@ -294,7 +292,7 @@ impl<'a, 'r> Scene<'a, 'r> {
 
 fn warn_of_dropped(id: ObjectId, dropped: &[FrameId], reason: &str, outcome: &mut Outcome) {
     if !dropped.is_empty() {
-        let frames = background::ranges(dropped);
+        let frames = ranges(dropped.iter().map(|frame| frame.0));
         let text = format!("object {id}: no position in {} frames ({frames}): {reason}", dropped.len());
         outcome.warn(Topic::FramesNotRegistered.warning(text));
     }
@@ -373,11 +371,6 @@ fn describe_adjustment(id: ObjectId, adjustment: &Adjustment, outcome: &mut Outc
 /// one; the stage must be done.
 pub(in crate::pipeline) fn in_units(run: &Run) -> Result<Trajectories> {
     Ok(crate::io::trajectories::read(&run.workspace.state(IN_UNITS))?)
-}
-
-/// Why objects have no trajectory although they have a model, or not even a ground track; the stage must be done.
-pub(in crate::pipeline) fn failures(run: &Run) -> Result<BTreeMap<ObjectId, String>> {
-    run.workspace.read_state(FAILURES)
 }
 
 /// The other results; the stage must be done.

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crate::math::rounding::ranges;
 use crate::report::data::{Data, Missing, Model, Object};
 use crate::report::words::{count, plain};
 use crate::scene::{ObjectId, Verdict, first_of_each_topic, warning_text};
@@ -51,7 +52,7 @@ fn unregistered(name: &str, model: &Model) -> Vec<Missing> {
         frames.push(frame.0);
     }
     let entry = |(words, (reasons, frames)): (Vec<&str>, (Vec<&str>, Vec<u32>))| {
-        let what = format!("{name}: not registered in {} ({})", count(frames.len(), "frame"), ranges(&frames));
+        let what = format!("{name}: not registered in {} ({})", count(frames.len(), "frame"), ranges(frames));
         Missing { what, reason: merged(&words, &reasons) }
     };
     by_reason.into_iter().map(entry).collect()
@@ -115,22 +116,6 @@ fn named(warning: &str, names: &[(ObjectId, &String)]) -> String {
     out + rest
 }
 
-/// "3–7, 9" of ascending numbers; the middle of a long list is left out.
-fn ranges(numbers: &[u32]) -> String {
-    let runs: Vec<String> = numbers
-        .chunk_by(|a, b| a.checked_add(1) == Some(*b))
-        .map(|run| match run {
-            [one] => one.to_string(),
-            [first, .., last] => format!("{first}–{last}"),
-            [] => String::new(),
-        })
-        .collect();
-    if runs.len() > 8 {
-        return format!("{}, …, {}", runs[..5].join(", "), runs[runs.len() - 1]);
-    }
-    runs.join(", ")
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -183,14 +168,5 @@ mod tests {
             .into_iter()
             .map(|m| format!("{}: {}", m.what.trim_start_matches(": "), m.reason))
             .collect()
-    }
-
-    #[test]
-    fn frames_are_written_as_ranges() {
-        assert_eq!(ranges(&[1, 2, 3, 7, 9, 10]), "1–3, 7, 9–10");
-        assert_eq!(ranges(&[]), "");
-        let every_other: Vec<_> = (0..40).step_by(2).collect();
-        assert_eq!(ranges(&every_other), "0, 2, 4, 6, 8, …, 38");
-        assert_eq!(ranges(&[u32::MAX]), u32::MAX.to_string());
     }
 }

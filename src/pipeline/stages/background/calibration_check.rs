@@ -5,7 +5,6 @@ use crate::camera::Camera;
 use crate::mapper::{self, CalibrationFit, Intrinsics};
 use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::cameras::{self, CameraOrigin};
 use crate::scene::{CameraId, Reconstruction, Topic, Warning};
 
@@ -102,10 +101,7 @@ pub(super) fn check_fit(
     let first = model.cameras.keys().next();
     for (id, camera) in &given(run, model, report.given)? {
         // What leaves the intrinsics undetermined speaks against none.
-        let Ok(Some(fit)) = on_threads(run.options.threads, || mapper::calibration_fit(model, *id, camera, known))?
-        else {
-            continue;
-        };
+        let Ok(Some(fit)) = mapper::calibration_fit(model, *id, camera, known) else { continue };
         if fit.is_bad() {
             outcome.warn(Topic::CalibrationDoesNotFit.warning(misfit(camera, &fit, remedy(report.given, &std))));
         }

@@ -16,15 +16,6 @@ const DARK: f64 = 40.0;
 /// Share of an image that vehicles do not cover together, but their surroundings do.
 const MOSTLY_MASKED: f64 = 0.6;
 
-/// Properties of one image.
-#[derive(Clone, Copy, Debug, PartialEq)]
-struct Properties {
-    /// Mean gray level.
-    mean: f64,
-    /// Share that the masks cover.
-    masked: f64,
-}
-
 /// Reasons to add to the failure of a background: dark images, masks that cover nearly all. Empty if the
 /// images explain nothing.
 ///
@@ -35,20 +26,20 @@ pub(in crate::pipeline) fn reasons(run: &Run) -> Result<String> {
     let examined = (0..NUM_EXAMINED).filter_map(|k| frames.get(frames.len() * (2 * k + 1) / (2 * NUM_EXAMINED)));
     let ids: BTreeSet<_> = examined.map(|frame| frame.id).collect();
     let masking = Masking::new(run)?;
-    let mut found = Vec::new();
+    let (mut levels, mut shares) = (Vec::new(), Vec::new());
     for (frame, image) in run.source.frames_at(ids)?.flatten() {
         let gray = gray_from_rgb(&image).map_err(FeatureError::from)?;
         let background = masking.background(&frame, image.dimensions())?;
         let num_pixels = f64::from(image.width()) * f64::from(image.height());
-        let masked = 1.0 - background.area_px2() as f64 / num_pixels.max(1.0);
-        found.push(Properties { mean: mean(&gray), masked });
+        shares.push(1.0 - background.area_px2() as f64 / num_pixels.max(1.0));
+        levels.push(mean(&gray));
     }
-    Ok(in_words(&found, matches!(run.options.instances, Instances::Masks(_))))
+    Ok(in_words(levels, shares, matches!(run.options.instances, Instances::Masks(_))))
 }
 
-fn in_words(found: &[Properties], has_given_masks: bool) -> String {
-    let median = |of: fn(&Properties) -> f64| upper_median(found.iter().map(of).collect());
-    let (Some(mean), Some(masked)) = (median(|p| p.mean), median(|p| p.masked)) else { return String::new() };
+/// * `levels`, `shares` – of each image the mean gray level, and the share that the masks cover.
+fn in_words(levels: Vec<f64>, shares: Vec<f64>, has_given_masks: bool) -> String {
+    let (Some(mean), Some(masked)) = (upper_median(levels), upper_median(shares)) else { return String::new() };
     let mut words = String::new();
     if mean < DARK {
         words += &format!(
@@ -76,11 +67,11 @@ mod tests {
 
     #[test]
     fn dark_images_and_inverted_masks_are_named() {
-        let all = |mean, masked| [Properties { mean, masked }; 3];
-        assert_eq!(in_words(&all(100.0, 0.1), true), "");
-        assert!(in_words(&all(14.0, 0.1), false).contains("dark (mean gray level 14 of 255)"));
-        assert!(in_words(&all(100.0, 0.98), true).contains("cover 98 %"));
-        assert_eq!(in_words(&all(100.0, 0.98), false), "");
-        assert_eq!(in_words(&[], true), "");
+        let said = |level, share, given| in_words(vec![level; 3], vec![share; 3], given);
+        assert_eq!(said(100.0, 0.1, true), "");
+        assert!(said(14.0, 0.1, false).contains("dark (mean gray level 14 of 255)"));
+        assert!(said(100.0, 0.98, true).contains("cover 98 %"));
+        assert_eq!(said(100.0, 0.98, false), "");
+        assert_eq!(in_words(vec![], vec![], true), "");
     }
 }

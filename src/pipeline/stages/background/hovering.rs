@@ -5,7 +5,6 @@ use crate::features::TrackTable;
 use crate::features::lines::ImageLines;
 use crate::mapper::{HoveringCamera, LineNormal, hovering_camera, rotating_camera};
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::cameras::{self, InitialCamera};
 use crate::pipeline::inputs::hovering::camera_by_map_points;
 use crate::pipeline::inputs::images;
@@ -24,9 +23,7 @@ pub(in crate::pipeline) fn normal_by_lines(run: &Run) -> Option<LineNormal> {
 
 /// Returns true if the camera stands: no map can be made then but of vehicles, or of turns that are taken for motion.
 pub(super) fn stands(run: &Run, table: &TrackTable) -> Result<bool> {
-    let camera = cameras::first(run)?.camera;
-    let found = on_threads(run.options.threads, || rotating_camera(table, &camera))?;
-    Ok(found.is_some_and(|found| found.is_still()))
+    Ok(rotating_camera(table, &cameras::first(run)?.camera).is_some_and(|found| found.is_still()))
 }
 
 /// Rotations of the views, with their report; `None` where rotations do not explain them.
@@ -34,10 +31,8 @@ pub(super) fn reconstruct(run: &Run, outcome: &mut Outcome) -> Result<Option<(Re
     let table = features::of_background(run)?;
     let InitialCamera { camera, known, .. } = cameras::first(run)?;
     let lines = lines_of_first(run, &table, outcome)?;
-    let found = on_threads(run.options.threads, || {
-        let (camera, focal_std) = camera_by_map_points(&run.options.metric, &table, &camera, known.focal);
-        hovering_camera(&table, &camera, focal_std, &lines)
-    })?;
+    let (camera, focal_std) = camera_by_map_points(&run.options.metric, &table, &camera, known.focal);
+    let found = hovering_camera(&table, &camera, focal_std, &lines);
     let Some(HoveringCamera { rotations: found, camera, focal_std, by_lines }) = found else { return Ok(None) };
     run.workspace.write_state(NORMAL, &by_lines)?;
     let model = found.model(&table, &camera);

@@ -37,13 +37,9 @@ fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
     }
     let telemetry = telemetry::find(run, &mut Outcome::default())?;
     let without_support = |offset: Offset, _| Support { offset, gravity: None, orientation: None };
-    match alignment::fit(run, background, &telemetry, without_support) {
-        Ok(fitted) => Some((fitted, telemetry.origin)),
-        Err(reason) => {
-            tracing::info!("{}: positions give no frame on the map: {reason}", telemetry.path.display());
-            None
-        }
-    }
+    let say = |reason| tracing::info!("{}: positions give no frame on the map: {reason}", telemetry.path.display());
+    let fitted = alignment::fit(run, background, &telemetry, without_support).map_err(say).ok()?;
+    Some((fitted, telemetry.origin))
 }
 
 fn metric(fitted: &FittedLog, of_log: Origin) -> Option<Metric> {

@@ -23,40 +23,32 @@ use crate::features::Target;
 use crate::io::interchange::colmap;
 use crate::mapper::ModelWeakness;
 use crate::mapper::{self, PosePriors};
+use crate::math::rounding::ranges;
 use crate::pipeline::Result;
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::driver::threads::on_threads;
 use crate::pipeline::inputs::given_models;
 use crate::pipeline::inputs::{cameras, order};
 use crate::scene::{CameraId, FocalChange, FrameId, Reconstruction, Topic, Warning};
 
 const BACKGROUND_REPORT: &str = "background-report.json";
 
-pub(in crate::pipeline) fn background_cache_key(run: &Run) -> Result<Value> {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let known: Vec<_> = cameras::initial(run)?.into_iter().map(|initial| (initial.origin, initial.known)).collect();
     let (background, _) = order::sfm_options(run)?;
     let given = run.options.background_model.as_deref().map(given_models::fingerprint).transpose()?;
-    let cache_key = json!({
+    Ok(json!({
         "model": given,
+        "model_files": run.options.model_files,
         "cameras": known,
         "intrinsics_std": run.options.intrinsics_std,
         "options": background.mapper,
         "seed": run.options.seed,
         "map_points": run.options.metric.map_points.as_deref().map(fingerprint::of_content).transpose()?,
-    });
-    Ok(with_model_files(cache_key, run))
+    }))
 }
 
-/// Inputs of a stage that writes models, with their form if one was requested.
-pub(in crate::pipeline) fn with_model_files(mut cache_key: Value, run: &Run) -> Value {
-    if run.options.model_files != colmap::Encoding::Auto {
-        cache_key["model_files"] = json!(run.options.model_files);
-    }
-    cache_key
-}
-
-pub(in crate::pipeline) fn run_background(run: &Run, outcome: &mut Outcome) -> Result<()> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let (model, mut report) = match &run.options.background_model {
         Some(path) => given_models::read(path, Target::Background, run)?,
         None => reconstruct_views(run, outcome)?,
@@ -128,7 +120,7 @@ fn focal_changes(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Ve
         Some(camera) if is_given => camera.principal,
         _ => cameras::first(run)?.camera.principal,
     };
-    on_threads(run.options.threads, || crate::mapper::focal_changes(model, principal))
+    Ok(mapper::focal_changes(model, principal))
 }
 
 fn warning_of(change: &FocalChange) -> Warning {
@@ -207,17 +199,15 @@ pub(in crate::pipeline) fn reconstruct(
     poses: Option<&PosePriors>,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<(Reconstruction, ModelReport)> {
-    let (threads, seed) = (run.options.threads, run.options.seed);
+    let seed = run.options.seed;
     let (cameras, known): (Vec<Camera>, Vec<mapper::Intrinsics>) = cameras.iter().copied().unzip();
     if let Some(view) = table.views.iter().find(|view| view.camera >= cameras.len()) {
         return Err(crate::features::FeatureError::NoCamera { camera: view.camera, count: cameras.len() }.into());
     }
-    let (mut model, report) = on_threads(threads, || {
-        // Only videos have long tracks, and one camera.
-        let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::GUESSED);
-        mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
-        mapper::reconstruct_watched(table, &cameras, known, options, seed, poses, watch)
-    })??;
+    // Only videos have long tracks, and one camera.
+    let of_video = known.first().copied().unwrap_or(mapper::Intrinsics::GUESSED);
+    mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
+    let (mut model, report) = mapper::reconstruct_watched(table, &cameras, known, options, seed, poses, watch)?;
     if model.is_empty() {
         // Even an empty model says which cameras it would have had.
         model.cameras = (1..).map(CameraId).zip(cameras).collect();
@@ -231,7 +221,6 @@ pub(in crate::pipeline) fn reconstruct(
 
 /// The model of a target that stands still in front of the cameras of the background; `None` where its points move.
 pub(in crate::pipeline) fn triangulate(
-    run: &Run,
     table: &crate::features::TrackTable,
     camera: Camera,
     options: &mapper::Options,
@@ -241,8 +230,7 @@ pub(in crate::pipeline) fn triangulate(
     const STILL_SHARE: f64 = 0.8;
     let pose = |view: &crate::features::tracks::View| Some(background.images.get(&view.image)?.cam_from_world);
     let poses: Vec<_> = table.views.iter().map(pose).collect();
-    let (model, report, explained) =
-        on_threads(run.options.threads, || mapper::triangulate(table, &[camera], &poses, options))??;
+    let (model, report, explained) = mapper::triangulate(table, &[camera], &poses, options)?;
     let is_still = explained >= STILL_SHARE && model.points.len() >= options.min_initial_inliers / 2;
     tracing::debug!("{} points from the background's cameras explain {explained:.3}", model.points.len());
     Ok(is_still.then(|| {
@@ -289,37 +277,16 @@ pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outc
         *reasons.entry(reason).or_default() += 1;
     }
     let commonest = reasons.iter().max_by_key(|(_, count)| **count).map_or("", |(reason, _)| *reason);
-    let frames: Vec<FrameId> = report.unregistered.keys().copied().collect();
     outcome.warn(Topic::FramesNotRegistered.warning(format!(
         "{target}: {missing} of {} frames not registered ({}); most frequent reason: {commonest}",
         report.num_visible,
-        ranges(&frames)
+        ranges(report.unregistered.keys().map(|frame| frame.0))
     )));
-}
-
-/// Ascending frames in words: "3 to 7, 9", the first few ranges of them.
-pub(in crate::pipeline) fn ranges(frames: &[FrameId]) -> String {
-    let word = |run: &[FrameId]| match run {
-        [first, .., last] => format!("{} to {}", first.0, last.0),
-        _ => run.iter().map(|frame| frame.0.to_string()).collect(),
-    };
-    let words: Vec<String> = frames.chunk_by(|a, b| a.0 + 1 == b.0).map(word).collect();
-    // Ranges in a message.
-    match words.split_at_checked(5) {
-        Some((shown, more)) if !more.is_empty() => format!("{} and {} more ranges", shown.join(", "), more.len()),
-        _ => words.join(", "),
-    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn missing_frames_are_named_in_ranges() {
-        assert_eq!(ranges(&[3, 4, 5, 9, 11, 12].map(FrameId)), "3 to 5, 9, 11 to 12");
-        assert_eq!(ranges(&[0, 2, 4, 6, 8, 10, 12].map(FrameId)), "0, 2, 4, 6, 8 and 2 more ranges");
-    }
 
     #[test]
     fn large_frames_have_a_cure() {

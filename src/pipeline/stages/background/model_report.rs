@@ -22,8 +22,6 @@ pub struct ModelReport {
     pub failure: Option<String>,
     /// Points.
     pub num_points: usize,
-    /// Observations of these points.
-    pub num_observations: usize,
     /// Points that were rejected since they came to lie behind a camera that observes them, or at infinity.
     pub num_infinite_points: usize,
     /// Mean reprojection error, pixels; `None` without observations.
@@ -63,7 +61,6 @@ pub struct CameraReport {
 impl ModelReport {
     pub(in crate::pipeline) fn describe_points(&mut self, model: &Reconstruction) {
         self.num_points = model.points.len();
-        self.num_observations = model.points.values().map(|point| point.track.len()).sum();
         self.mean_error_px = model.mean_reprojection_error_px();
         self.camera = model.cameras.values().next().copied();
         self.focal_length_px = self.camera.as_ref().map(Camera::mean_focal);

@@ -1,14 +1,14 @@
 //! All image points that a run followed on the background, also where no point or pose came of them.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use super::{BACKGROUND, PREFIX, tracks_of};
+use super::{BACKGROUND, tracks_of};
 use crate::features::TrackTable;
 use crate::features::tracks::{self, Feature};
 use crate::io::interchange::database::{Features, View};
-use crate::io::{IoError, RunFolder};
-use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate;
+use crate::pipeline::driver::workspace::{marker_name, read_state};
+use crate::pipeline::{Marker, Result, Stage};
 use crate::scene::{CameraId, TrackElement};
 
 /// The features of the background's frames and what tracks they belong to; `None` if the folder has none: it is no
@@ -17,20 +17,10 @@ use crate::scene::{CameraId, TrackElement};
 /// # Errors
 /// A folder that cannot be read, or a damaged file in it.
 pub fn found_features(output: &Path) -> Result<Option<Features>> {
-    match folder_of_tracks(&output.join(RunFolder::STATE))?.map(|folder| tracks_of(&folder, BACKGROUND)) {
-        Some(path) if path.is_file() => Ok(Some(features(intermediate::read(&path)?))),
-        _ => Ok(None),
-    }
-}
-
-/// A run keeps one folder of background features, whose name ends in what they were made from.
-fn folder_of_tracks(state: &Path) -> Result<Option<PathBuf>> {
-    if !state.is_dir() {
-        return Ok(None);
-    }
-    let entries = std::fs::read_dir(state).map_err(IoError::system("read", state))?;
-    let is_found = |entry: &std::fs::DirEntry| entry.file_name().to_string_lossy().starts_with(PREFIX);
-    Ok(entries.flatten().filter(is_found).map(|entry| entry.path()).filter(|path| path.is_dir()).min())
+    let marker = read_state::<Marker>(output, &marker_name(Stage::Features)).ok();
+    let paths = marker.into_iter().flat_map(|marker| marker.outputs).map(|folder| output.join(folder));
+    let path = paths.map(|folder| tracks_of(&folder, BACKGROUND)).find(|path| path.is_file());
+    path.map(|path| Ok(features(intermediate::read(&path)?))).transpose()
 }
 
 fn features(table: TrackTable) -> Features {

@@ -3,7 +3,6 @@
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::given_masks::MaskFolder;
 use crate::pipeline::stages::segment;
-use crate::pipeline::stages::segment::detections::DetectionFolder;
 use crate::pipeline::{Instances, Result};
 use crate::scene::{Frame, FrameId, Mask};
 
@@ -14,7 +13,7 @@ enum Movable {
     /// Masks that the user gives.
     Given(MaskFolder),
     /// Instances by a network, also those that are not tracked: a parked car may leave, and a person walks.
-    Masks(DetectionFolder),
+    Masks(segment::DetectionFolder),
     /// The same as boxes, in the frames at which the detector looked, ascending.
     Boxes(segment::BoxFolder, Vec<FrameId>),
 }
@@ -52,7 +51,10 @@ impl Masking {
         match &self.movable {
             Movable::Nothing => {}
             Movable::Given(folder) => return Ok(folder.labels(frame.id)?.map_or(movable, |labels| labels.any())),
-            Movable::Masks(folder) => folder.read(frame.id)?.iter().for_each(|found| movable.union_with(&found.mask)),
+            Movable::Masks(folder) => {
+                let found = folder.read_masks(frame.id, (width, height), |found| &found.mask)?;
+                found.iter().for_each(|found| movable.union_with(&found.mask));
+            }
             Movable::Boxes(folder, looked) => {
                 for near in nearest(looked, frame.id) {
                     folder.read(near)?.iter().for_each(|found| movable.fill_rect(&found.rect, true));

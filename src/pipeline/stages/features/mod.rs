@@ -3,22 +3,23 @@
 pub(in crate::pipeline) mod found_features;
 pub(in crate::pipeline) mod masking;
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::motion::point_tracks::{self, Follower};
+use super::motion::point_tracks::{self, Followed};
 use crate::features::{FrontEnd, TrackTable};
 use crate::image::Picture;
+use crate::motion::PointFollower;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::driver::{fingerprint, intermediate};
 use crate::pipeline::inputs::{cameras, images, order, telemetry};
 use crate::pipeline::{Instances, Result, Stage};
-use crate::scene::Topic;
+use crate::scene::{FrameId, Topic};
 use crate::video::VideoError;
 use masking::Masking;
 
-pub(in crate::pipeline) use super::motion::point_tracks::FEATURES_PREFIX as PREFIX;
 pub(in crate::pipeline) const BACKGROUND: &str = "background";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
@@ -42,58 +43,68 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
-    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
-    if run.options.background_model.is_none() {
-        let are_wanted = run.goal >= Stage::Motion && point_tracks::is_wanted(run)?;
-        let mut points = are_wanted.then(|| Follower::new(run));
-        let table = follow_background(run, points.as_mut(), outcome)?;
-        if let Some(points) = points {
-            intermediate::write(&folder.join(point_tracks::FILE_NAME), &points.finish())?;
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
+    let folder = run.workspace.intermediate(Stage::Features, &outcome.fingerprint)?;
+    let mut points = point_tracks::is_wanted(run)?.then(|| PointFollower::new(run.size()));
+    let mut background = match run.options.background_model {
+        None => Some(Background::new(run, outcome)?),
+        Some(_) => None,
+    };
+    let mut frames = Vec::new();
+    let wanted = run.frames()?.iter().filter(|_| points.is_some() || background.is_some());
+    images::for_each(run, Stage::Features, wanted.map(|frame| frame.id).collect(), outcome, |frame, picture| {
+        let of_frame = Picture::new(&picture);
+        if let Some(points) = &mut points {
+            points.push(&of_frame)?;
         }
+        if let Some(Background { front_end, camera_of, masking }) = &mut background {
+            let mask = masking.background(&frame, picture.dimensions())?;
+            front_end.push_of(camera_of.get(&frame.id).copied().unwrap_or_default(), &frame, &of_frame, &mask)?;
+        }
+        frames.push(frame);
+        Ok(())
+    })?;
+    if let Some(background) = background {
+        if frames.is_empty() {
+            // No result, which later runs would take over: memory may have been short.
+            return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());
+        }
+        let table = background.front_end.finish(run.options.seed)?;
         outcome.figure("background_tracks", table.tracks.len());
         intermediate::write(&tracks_of(&folder, BACKGROUND), &table)?;
+    }
+    if let Some(points) = points {
+        intermediate::write(&point_tracks::path_in(&folder), &Followed { frames, tracks: points.finish() })?;
     }
     outcome.outputs.push(folder);
     Ok(())
 }
 
-/// Tracks of the background; `points` of the vehicles are followed on the way, so that the images are decoded once.
-fn follow_background(run: &Run, mut points: Option<&mut Follower>, outcome: &mut Outcome) -> Result<TrackTable> {
-    let initial = cameras::initial(run)?;
-    if let Some(open) = cameras::not_covered(run, &initial) {
-        outcome.warn(Topic::IntrinsicsIncomplete.warning(open));
-    }
-    let camera_of = cameras::of_frames(run)?;
-    let (options, _) = order::sfm_options(run)?;
-    let masking = Masking::new(run)?;
-    let initial = initial.into_iter().map(|initial| initial.camera).collect();
-    let mut background = FrontEnd::of_cameras(&options.front_end, initial)?;
-    if !order::found(run)?.in_time {
-        background.know_positions(telemetry::positions_by_name(run));
-    }
-    let wanted = run.frames()?.iter().map(|frame| frame.id).collect();
-    let mut num_decoded = 0u64;
-    images::for_each(run, Stage::Features, wanted, outcome, |frame, picture| {
-        let mask = masking.background(&frame, picture.dimensions())?;
-        let camera = camera_of.get(&frame.id).copied().unwrap_or_default();
-        num_decoded += 1;
-        let picture = Picture::new(&picture);
-        if let Some(points) = &mut points {
-            points.push(&frame, &picture)?;
+/// What follows points on the background; points of the vehicles are followed on the way.
+struct Background {
+    front_end: FrontEnd,
+    camera_of: BTreeMap<FrameId, usize>,
+    masking: Masking,
+}
+
+impl Background {
+    fn new(run: &Run, outcome: &mut Outcome) -> Result<Self> {
+        let initial = cameras::initial(run)?;
+        if let Some(open) = cameras::not_covered(run, &initial) {
+            outcome.warn(Topic::IntrinsicsIncomplete.warning(open));
         }
-        Ok(background.push_of(camera, &frame, &picture, &mask)?)
-    })?;
-    if num_decoded == 0 {
-        // No result, which later runs would take over: memory may have been short.
-        return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());
+        let cameras = initial.into_iter().map(|initial| initial.camera).collect();
+        let mut front_end = FrontEnd::of_cameras(&order::sfm_options(run)?.0.front_end, cameras)?;
+        if !order::found(run)?.in_time {
+            front_end.know_positions(telemetry::positions_by_name(run));
+        }
+        Ok(Self { front_end, camera_of: cameras::of_frames(run)?, masking: Masking::new(run)? })
     }
-    Ok(background.finish(run.options.seed)?)
 }
 
 /// The tracks of the background; the stage must be done.
 pub(in crate::pipeline) fn of_background(run: &Run) -> Result<TrackTable> {
-    intermediate::read(&tracks_of(&run.folder(PREFIX, Stage::Features), BACKGROUND))
+    intermediate::read(&tracks_of(&run.folder(Stage::Features), BACKGROUND))
 }
 
 /// The file with the tracks of a target in a stage's folder.

@@ -9,7 +9,7 @@ use crate::pipeline::inputs::alignment::{FittedLog, fit};
 use crate::pipeline::inputs::attitude::orientation;
 use crate::pipeline::inputs::hovering::{self, OnMap};
 use crate::pipeline::inputs::telemetry::Telemetry;
-use crate::scene::{Frame, Reconstruction, Topic};
+use crate::scene::{Frame, Reconstruction, Topic, Warning};
 use crate::telemetry::LocalFrame;
 
 /// A path on its fixes, with the map under it.
@@ -30,17 +30,15 @@ pub(super) fn align(
     telemetry: &Telemetry,
     outcome: &mut Outcome,
 ) -> Option<Aligned> {
-    match try_align(run, background, ground, telemetry, outcome) {
-        Ok(aligned) => {
-            describe(&aligned.alignment, outcome);
-            Some(aligned)
-        }
-        Err(reason) => {
-            let text = format!("{}: positions give no scale: {reason}", telemetry.path.display());
-            outcome.warn(Topic::TelemetryDoesNotFit.warning(text));
-            None
-        }
-    }
+    let aligned = try_align(run, background, ground, telemetry, outcome);
+    let aligned = aligned.map_err(|reason| outcome.warn(does_not_fit(telemetry, "scale", &reason))).ok()?;
+    describe(&aligned.alignment, outcome);
+    Some(aligned)
+}
+
+fn does_not_fit(telemetry: &Telemetry, what: &str, reason: &str) -> Warning {
+    let text = format!("{}: positions give no {what}: {reason}", telemetry.path.display());
+    Topic::TelemetryDoesNotFit.warning(text)
 }
 
 fn try_align(
@@ -85,13 +83,9 @@ pub(super) fn hovering(
         let source = Some(alignment.source("map points", Kind::Surveyed));
         Aligned { alignment, map, source, clock_offset_s: None }
     });
-    let station = telemetry.and_then(|log| match hovering::station(run, background, log) {
-        Ok(station) => Some(station),
-        Err(reason) => {
-            let text = format!("{}: positions give no map: {reason}", log.path.display());
-            outcome.warn(Topic::TelemetryDoesNotFit.warning(text));
-            None
-        }
+    let station = telemetry.and_then(|log| {
+        let found = hovering::station(run, background, log);
+        found.map_err(|reason| outcome.warn(does_not_fit(log, "map", &reason))).ok()
     });
     let of_height =
         station.as_ref().zip(ground.height().ok()).and_then(|(station, height)| station.source_of_height(&height));

@@ -5,8 +5,8 @@ use std::f64::consts::FRAC_1_SQRT_2;
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
-use super::placed::{Placing, in_units, metric_of, span};
-use super::vehicles::Size;
+use super::placed::{Placing, metric_of, span};
+use super::vehicles::{in_metres, size_of_body};
 use crate::math::rounding::percent;
 use crate::math::{median, quantile};
 use crate::metric::ObservedPoint;
@@ -36,27 +36,17 @@ const SMALLER_M: f64 = 5.0;
 /// Standard deviations by which a size must be outside.
 const OUTSIDE: f64 = 2.0;
 
-/// Meaning of the metric frame.
-#[derive(Clone, Copy, PartialEq, Eq)]
-pub(super) enum Scale {
-    /// Metres are known.
-    Known,
-    /// The frame has a nominal scale.
-    Nominal,
-}
-
 /// Fills in what follows from the frame. Tracks of things that are no vehicles by their size are dropped.
 pub(super) fn fill(
     placing: &Placing,
     tracks: Vec<GroundTrack>,
     bodies: &BTreeMap<ObjectId, BodyOnGround>,
-    scale: Scale,
     outcome: &mut Outcome,
 ) -> Vec<GroundTrack> {
     let mut kept = Vec::new();
     for mut track in tracks {
         let body = bodies.get(&track.id).copied().unwrap_or_default();
-        placing.fill_ground(&mut track, body, scale);
+        placing.fill_ground(&mut track, body);
         let dip_sine = placing.dip_sine(&track);
         let of_size = |size: &[Estimate; 2]| impossible_size(size, dip_sine);
         match track.apparent_size_m.as_ref().and_then(of_size).or_else(|| off_the_ground(&track)) {
@@ -90,7 +80,7 @@ fn off_the_ground(track: &GroundTrack) -> Option<String> {
 
 impl Placing<'_> {
     /// Fills in what follows from the frame, and enlarges the errors where the positions contradict them.
-    fn fill_ground(&self, track: &mut GroundTrack, body: BodyOnGround, scale: Scale) {
+    fn fill_ground(&self, track: &mut GroundTrack, body: BodyOnGround) {
         let common = CommonStd { ratio: 0.0, scale: self.frame.log_scale_std() };
         let measured = self.contacts(track);
         let worst = smooth(&measured, &common, Movement::Undetermined).map(|found| worst_deviation(&measured, &found));
@@ -98,7 +88,7 @@ impl Placing<'_> {
         track.positions.iter_mut().for_each(|position| position.error = position.error.scaled(factor));
         let shares: Vec<f64> = track.positions.iter().filter_map(|position| self.distance_std(position)).collect();
         let distance_std = median(shares).unwrap_or(f64::MAX);
-        if scale == Scale::Known {
+        if !self.is_nominal {
             let log_std = distance_std.hypot(self.frame.log_scale_std());
             let size = |units: f64| Estimate { value: units, std: log_std * units }.scaled(self.frame.scale);
             track.apparent_size_m = Some(track.apparent_size.map(size));
@@ -110,15 +100,14 @@ impl Placing<'_> {
         let found = smooth(&measured, &common, Movement::Undetermined);
         let verdict = verdict(distance_std, displacement_by_focal(track), worst);
         // Where positions jump, the mask is not that of one vehicle.
-        if scale == Scale::Known && verdict.state != GroundTrackTrust::Inconsistent {
-            let size = Size::of_body(&body, distance_std).in_metres(self.frame);
+        if !self.is_nominal && verdict.state != GroundTrackTrust::Inconsistent {
+            let size = in_metres(&size_of_body(&body, distance_std), self.frame);
             track.dimensions = Some(size).filter(|size| *size != Dimensions::default());
             track.axis_deg = body.axis.map(|axis| self.axis_deg(axis));
         }
         track.verdict = Some(verdict);
         let Some(found) = found else { return };
-        let travel = self.travel(span(&track.positions, |position| position.time_s), &found);
-        track.travel = Some(if scale == Scale::Known { travel } else { in_units(travel) });
+        track.travel = Some(self.travel(span(&track.positions, |position| position.time_s), &found));
         if self.times == TimeBase::Seconds {
             let placed = track.positions.iter_mut().filter_map(|position| position.metric.as_mut());
             placed.zip(found.motions).for_each(|(metric, motion)| metric.motion = Some(motion));

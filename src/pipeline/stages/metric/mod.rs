@@ -25,22 +25,21 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{alignment, attitude, hovering, telemetry as log};
 use crate::pipeline::{MetricOptions, Options, Result, TelemetryChoice};
 use crate::scene::{
-    FrameId, GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic,
+    Dates, FrameId, GroundTrack, Metric, MetricFrame, MetricVerdict, ObjectId, ObjectTrajectory, Reconstruction, Topic,
     Trajectories, sources_in_words,
 };
 use crate::trajectory::BodyOnGround;
 pub use dates::of_log as dates_of_log;
-use ground_tracks::Scale;
 use placed::Placing;
 use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;
 
 /// Inputs of this stage alone: the options of meters, and the content of telemetry files.
-pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
+pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let MetricOptions { telemetry, time_offset, utc_offset, camera_height, map_points, scale, known_lengths, .. } =
         &run.options.metric;
     let is_looked_for = *telemetry != TelemetryChoice::None;
-    json!({
+    Ok(json!({
         "telemetry": { "is_looked_for": is_looked_for, "files": log::fingerprints(run) },
         "time_offset": time_offset,
         "utc_offset": utc_offset,
@@ -48,7 +47,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Value {
         "map_points": map_points.as_deref().and_then(|path| fingerprint::of_content(path).ok()),
         "scale": scale,
         "known_lengths": known_lengths,
-    })
+    }))
 }
 
 /// Reads the telemetry that is named, so that what is wrong with it is reported before any work.
@@ -66,40 +65,36 @@ pub(in crate::pipeline) fn check(options: &Options) -> Result<()> {
 pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let background = run.workspace.read_background()?;
     let trajectories = scale::in_units(run)?;
-    let ScaleResults { sizes, bodies, pose_covariances } = scale::results(run)?;
-    let found = match background.is_empty() {
-        true => MetricResult::unknown("no background"),
+    let ScaleResults { sizes, bodies, pose_covariances, .. } = scale::results(run)?;
+    let (found, known) = match background.is_empty() {
+        true => unknown("no background", None),
         false => find(run, &background, &trajectories, &sizes, &bodies, outcome)?,
     };
-    describe(&found.metric, outcome);
+    describe(&found, outcome);
     let Trajectories { unit, mut objects, mut ground_tracks, .. } = trajectories;
-    vehicles::correct_classes(&mut objects, &sizes, found.known);
-    vehicles::doubt_sizes(&mut objects, &sizes, found.known, outcome);
+    vehicles::correct_classes(&mut objects, &sizes, known);
+    vehicles::doubt_sizes(&mut objects, &sizes, known, outcome);
     ground_tracks = scale::ground_tracks::decided(ground_tracks, &objects);
-    vehicles::correct_classes_on_ground(&mut ground_tracks, &mut objects, &bodies, found.known, &background);
+    vehicles::correct_classes_on_ground(&mut ground_tracks, &mut objects, &bodies, known, &background);
     let is_placed = !objects.is_empty() || !ground_tracks.is_empty();
-    let nominal = match found.metric.frame {
+    let nominal = match found.frame {
         None if is_placed => Some(nominal_frame(&Ground::of(run, &background)?, &background, &objects, &ground_tracks)),
         _ => None,
     };
-    if let Some(frame) = found.metric.frame.as_ref().or(nominal.as_ref()) {
+    if let Some(frame) = found.frame.as_ref().or(nominal.as_ref()) {
         let movements =
             run.workspace.read_tracked()?.into_iter().map(|object| (object.id, object.movement.state)).collect();
-        let placing = Placing::new(&background, frame, &pose_covariances, run.info().time_base(), movements);
+        let (frame, times) = ((frame, nominal.is_some()), run.info().time_base());
+        let placing = Placing::new(&background, frame, &pose_covariances, times, movements);
         for trajectory in &mut objects {
-            match &nominal {
-                Some(_) => placing.fill_units(trajectory),
-                None => {
-                    placing.fill(trajectory);
-                    trajectory.dimensions = sizes.get(&trajectory.id).map(|size| size.in_metres(frame));
-                }
-            }
+            placing.fill(trajectory);
+            let size = sizes.get(&trajectory.id).filter(|_| !placing.is_nominal);
+            trajectory.dimensions = size.map(|size| vehicles::in_metres(size, placing.frame));
         }
-        let scale = if nominal.is_some() { Scale::Nominal } else { Scale::Known };
-        ground_tracks = ground_tracks::fill(&placing, ground_tracks, &bodies, scale, outcome);
+        ground_tracks = ground_tracks::fill(&placing, ground_tracks, &bodies, outcome);
     }
     outcome.figure("num_ground_tracks", ground_tracks.len());
-    let all = Trajectories { unit, metric: Some(found.metric), objects, ground_tracks };
+    let all = Trajectories { unit, metric: Some(found), objects, ground_tracks };
     // What was exported has the metres of before.
     run.workspace.remove(&run.workspace.exports())?;
     let path = run.workspace.trajectories();
@@ -108,17 +103,11 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// Metres.
-struct MetricResult {
-    metric: Metric,
-    /// Logarithm of meters per unit without typical vehicle sizes, and its standard deviation.
-    known: Option<(f64, f64)>,
-}
+/// Metres, and the logarithm of meters per unit without typical vehicle sizes with its standard deviation.
+type MetricResult = (Metric, Option<(f64, f64)>);
 
-impl MetricResult {
-    fn unknown(reason: impl Into<String>) -> Self {
-        Self { metric: Metric { reason: Some(reason.into()), ..Metric::default() }, known: None }
-    }
+fn unknown(reason: &str, dates: Option<Dates>) -> MetricResult {
+    (Metric { reason: Some(reason.to_owned()), dates, ..Metric::default() }, None)
 }
 
 fn find(
@@ -152,19 +141,18 @@ fn find(
     let of_all = vehicles::sizes_of_all(trajectories, sizes, bodies, background);
     sources.extend(vehicles::known(run, &of_all, outcome));
     let known = fuse(&sources).map(|fused| (fused.scale.ln(), fused.std / fused.scale));
-    let mut alike = vehicles::alike(trajectories, sizes);
     // Where the camera translates, vehicles without a usable trajectory are far, hidden or in part outside the image.
-    if background.points.is_empty() {
-        alike = alike.or_if_surer(vehicles::alike_on_ground(&trajectories.ground_tracks, bodies, background));
-    }
+    let alike = match background.points.is_empty() {
+        true => vehicles::alike_on_ground(&trajectories.ground_tracks, bodies, background),
+        false => vehicles::alike(trajectories, sizes),
+    };
     alike.warn(outcome);
-    sources.extend(alike.source.clone());
+    sources.extend(vehicles::source_of(&alike));
     let Some(fused) = fuse(&sources) else {
-        let unknown = MetricResult::unknown(
-            "no source of scale: no matching telemetry, no known length, no vehicle of a class with known sizes; give \
-             --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale METERS",
-        );
-        return Ok(MetricResult { metric: Metric { dates, ..unknown.metric }, ..unknown });
+        let reason = "no source of scale: no matching telemetry, no known length, no vehicle of a class with known \
+                      sizes; give --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale \
+                      METERS";
+        return Ok(unknown(reason, dates));
     };
     warn_of_contradictions(&fused, outcome);
     let frame = match &aligned {
@@ -182,7 +170,7 @@ fn find(
         time_offset_std_s: time_offset_s.and(aligned.as_ref()).map(|aligned| aligned.alignment.offset_std_s),
         dates,
     };
-    Ok(MetricResult { metric, known })
+    Ok((metric, known))
 }
 
 /// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and

@@ -16,6 +16,8 @@ use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed,
 /// All that places objects in metres.
 pub(super) struct Placing<'a> {
     pub(super) frame: &'a MetricFrame,
+    /// True if the frame's scale is a nominal one: then nothing is stated in metres.
+    pub(super) is_nominal: bool,
     pub(super) map: Option<LocalFrame>,
     pub(super) images: BTreeMap<&'a str, &'a Image>,
     /// Standard deviation of the direction to an object's middle, radians: a pixel.
@@ -34,7 +36,7 @@ const NOMINAL_STEP_S: f64 = 0.1;
 impl<'a> Placing<'a> {
     pub(super) fn new(
         background: &'a Reconstruction,
-        frame: &'a MetricFrame,
+        (frame, is_nominal): (&'a MetricFrame, bool),
         poses: &'a PoseCovariances,
         times: TimeBase,
         movements: BTreeMap<ObjectId, Movement>,
@@ -43,13 +45,13 @@ impl<'a> Placing<'a> {
             background.images.values().map(|image| (image.name.as_str(), image)).collect();
         let focal = background.images.values().next().map_or(1.0, |image| background.camera_of(image).mean_focal());
         let map = frame.origin.map(|origin| LocalFrame { origin });
-        Self { frame, map, images, direction_std: 1.0 / focal, poses, times, movements }
+        Self { frame, is_nominal, map, images, direction_std: 1.0 / focal, poses, times, movements }
     }
 
-    /// Fills in all metric values.
+    /// Fills in the travel, and all metric values where metres are known.
     pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
         let log_ratio_std = trajectory.log_ratio_std();
-        for pose in &mut trajectory.poses {
+        for pose in trajectory.poses.iter_mut().filter(|_| !self.is_nominal) {
             let of_body = body_covariance(trajectory.body_center, pose);
             pose.metric = self.metric(trajectory.id, pose, log_ratio_std, of_body);
         }
@@ -68,13 +70,6 @@ impl<'a> Placing<'a> {
         }
     }
 
-    /// Fills in the travel alone, in units, where metres are unknown and the frame's scale is a nominal one.
-    pub(super) fn fill_units(&self, trajectory: &mut ObjectTrajectory) {
-        let found = self.smoothed(trajectory);
-        trajectory.travel =
-            found.map(|found| in_units(self.travel(span(&trajectory.poses, |pose| pose.time_s), &found)));
-    }
-
     fn smoothed(&self, trajectory: &ObjectTrajectory) -> Option<Smoothed> {
         let common = CommonStd { ratio: trajectory.log_ratio_std(), scale: self.frame.log_scale_std() };
         let movement = self.movements.get(&trajectory.id).copied().unwrap_or(Movement::Undetermined);
@@ -89,12 +84,13 @@ impl<'a> Placing<'a> {
             let std = (metres.std.powi(2) - share.powi(2)).max(0.0).sqrt();
             Estimate { std, ..metres }.scaled(scale.recip())
         };
-        let is_timed = self.times == TimeBase::Seconds && seconds > 0.0;
+        let is_metric = !self.is_nominal;
+        let is_timed = is_metric && self.times == TimeBase::Seconds && seconds > 0.0;
         Travel {
             path_units: in_units(found.path_m),
             displacement_units: in_units(found.displacement_m),
-            path_m: Some(found.path_m),
-            displacement_m: Some(found.displacement_m),
+            path_m: is_metric.then_some(found.path_m),
+            displacement_m: is_metric.then_some(found.displacement_m),
             mean_speed_m_s: is_timed.then(|| found.path_m.scaled(seconds.recip())),
             max_speed_m_s: is_timed.then_some(found.max_speed_m_s),
         }
@@ -147,11 +143,6 @@ pub(super) fn metric_of(frame: &MetricFrame, map: Option<&LocalFrame>, observed:
         MapPlace { longitude: longitude_deg, latitude: latitude_deg, height_m, place_std_m }
     };
     is_finite.then(|| MetricPose { place: map.map(place), ..found })
-}
-
-/// Travel without what follows from meters.
-pub(super) fn in_units(travel: Travel) -> Travel {
-    Travel { path_m: None, displacement_m: None, mean_speed_m_s: None, max_speed_m_s: None, ..travel }
 }
 
 /// Time from the first to the last of some poses, seconds.

@@ -89,21 +89,15 @@ fn source(name: &str, (log_scale, std): (f64, f64)) -> Source {
 const MAX_SPREAD: f64 = 0.15;
 
 fn of_height(given: Measured, ground: &Ground, outcome: &mut Outcome) -> Option<Source> {
-    match ground.height() {
-        Err(reason) => {
-            outcome.warn(Topic::CameraHeightUnusable.warning(format!("--camera-height gives no scale: {reason}")));
-            None
-        }
-        Ok(height) => {
-            if ground.spread() > MAX_SPREAD {
-                outcome.warn(Topic::CameraHeightUnusable.warning(format!(
-                    "--camera-height: height above ground varies by ±{:.0} %; the value is taken as the mean over the \
-                     frames",
-                    100.0 * ground.spread()
-                )));
-            }
-            outcome.figure("camera_height", serde_json::json!({ "units": height.value, "units_std": height.std }));
-            Some(source("camera height", given.log_ratio(&height)))
-        }
+    let unusable = |text: String| Topic::CameraHeightUnusable.warning(text);
+    let no_scale = |reason: String| outcome.warn(unusable(format!("--camera-height gives no scale: {reason}")));
+    let height = ground.height().map_err(no_scale).ok()?;
+    if ground.spread() > MAX_SPREAD {
+        outcome.warn(unusable(format!(
+            "--camera-height: height above ground varies by ±{:.0} %; the value is taken as the mean over the frames",
+            100.0 * ground.spread()
+        )));
     }
+    outcome.figure("camera_height", serde_json::json!({ "units": height.value, "units_std": height.std }));
+    Some(source("camera height", given.log_ratio(&height)))
 }

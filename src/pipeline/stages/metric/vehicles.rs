@@ -3,7 +3,6 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Vector3;
-use serde::{Deserialize, Serialize};
 
 use crate::math::median;
 use crate::math::rounding::significant;
@@ -18,60 +17,33 @@ use crate::scene::{
 };
 use crate::trajectory::{BodyOnGround, with_reason};
 
-/// Size of an object, in units of the background; `None` for a dimension that was never visible.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub(in crate::pipeline) struct Size {
-    /// Between its ends.
-    pub(in crate::pipeline) length: Option<Estimate>,
-    /// Between its sides.
-    pub(in crate::pipeline) width: Option<Estimate>,
-    /// Above the ground.
-    pub(in crate::pipeline) height: Option<Estimate>,
+/// Length, width and height of an object, in units of the background; `None` for a dimension that was never visible.
+pub(in crate::pipeline) type Size = [Option<Estimate>; 3];
+
+/// Size of a vehicle on the ground.
+///
+/// * `distance_std` – standard deviation of its distance to the camera as a share of it.
+pub(super) fn size_of_body(body: &BodyOnGround, distance_std: f64) -> Size {
+    let with_distance = |found: Estimate| Estimate { std: found.std.hypot(distance_std * found.value), ..found };
+    [body.length, body.width, body.height].map(|found| found.map(with_distance))
 }
 
-impl Size {
-    fn of(&self, dimension: Dimension) -> Option<Estimate> {
-        match dimension {
-            Dimension::Length => self.length,
-            Dimension::Width => self.width,
-            Dimension::Height => self.height,
-        }
-    }
-
-    /// Of a vehicle on the ground.
-    ///
-    /// * `distance_std` – standard deviation of its distance to the camera as a share of it.
-    pub(super) fn of_body(body: &BodyOnGround, distance_std: f64) -> Self {
-        let with_distance = |found: Estimate| Estimate { std: found.std.hypot(distance_std * found.value), ..found };
-        let [length, width, height] = [body.length, body.width, body.height].map(|found| found.map(with_distance));
-        Self { length, width, height }
-    }
-
-    /// The same in metres, with the deviation of the scale.
-    pub(super) fn in_metres(&self, frame: &MetricFrame) -> Dimensions {
-        let log_scale_std = frame.log_scale_std();
-        let metres = |units: Estimate| {
-            let value = frame.scale * units.value;
-            Estimate { value, std: value * log_scale_std.hypot(units.std / units.value) }
-        };
-        Dimensions {
-            length_m: self.length.map(metres),
-            width_m: self.width.map(metres),
-            height_m: self.height.map(metres),
-        }
-    }
+/// A size in metres, with the deviation of the scale.
+pub(super) fn in_metres(size: &Size, frame: &MetricFrame) -> Dimensions {
+    let metres = |units: Estimate| {
+        let value = frame.scale * units.value;
+        Estimate { value, std: value * frame.log_scale_std().hypot(units.std / units.value) }
+    };
+    let [length_m, width_m, height_m] = size.map(|found| found.map(metres));
+    Dimensions { length_m, width_m, height_m }
 }
 
 /// Known dimensions of single vehicles, each a source of its own.
 pub(super) fn known(run: &Run, sizes: &BTreeMap<ObjectId, Size>, outcome: &mut Outcome) -> Vec<Source> {
     let known = run.options.metric.known_lengths.iter();
-    let source = |known: &KnownLength| match of_length(known, sizes) {
-        Ok(source) => Some(source),
-        Err(reason) => {
-            outcome
-                .warn(Topic::KnownLengthUnusable.warning(format!("--known-length {known} gives no scale: {reason}")));
-            None
-        }
+    let source = |known: &KnownLength| {
+        let text = |reason| format!("--known-length {known} gives no scale: {reason}");
+        of_length(known, sizes).map_err(|reason| outcome.warn(Topic::KnownLengthUnusable.warning(text(reason)))).ok()
     };
     known.filter_map(source).collect()
 }
@@ -80,33 +52,32 @@ fn of_length(known: &KnownLength, sizes: &BTreeMap<ObjectId, Size>) -> Result<So
     let KnownLength { object, dimension, length } = known;
     let name = dimension.name();
     let size = sizes.get(object).ok_or_else(|| format!("vehicle {object}: no trajectory"))?;
-    let units = size.of(*dimension).and_then(|units| Measured::new(units.value, units.std));
+    let units = size[*dimension as usize].and_then(|units| Measured::new(units.value, units.std));
     let units = units.ok_or_else(|| format!("vehicle {object}: {name} not measured, never visible well enough"))?;
     let (log_scale, std) = length.log_ratio(&units);
     Ok(Source { name: format!("{name} of vehicle {object}"), kind: Kind::Surveyed, log_scale, std })
 }
 
-/// Meters by typical vehicle sizes, and the vehicles with anomalies.
-#[derive(Debug, Default)]
-pub(super) struct Alike {
-    /// As one source; `None` where no vehicle is of a class whose members are alike.
-    pub(super) source: Option<Source>,
-    odd: Vec<OddVehicle>,
-}
-
 /// Asks the vehicles that can be trusted; only where these say nothing, the doubtful ones.
-pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> Alike {
-    let usable = || trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
-    let segment = |vehicles: Vec<&ObjectTrajectory>| {
+pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> VehicleSizes {
+    let (doubtful, trusted): (Vec<&ObjectTrajectory>, Vec<_>) =
+        trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out()).partition(|t| is_doubtful(t));
+    let asked = |vehicles: Vec<&ObjectTrajectory>| {
         let extents: Vec<Extent> = vehicles.into_iter().flat_map(|trajectory| extents(trajectory, sizes)).collect();
-        Alike::of(vehicle_sizes(&extents))
+        vehicle_sizes(&extents)
     };
-    let trusted = segment(usable().filter(|trajectory| !is_doubtful(trajectory)).collect());
-    if trusted.source.is_some() {
+    let trusted = asked(trusted);
+    if trusted.log_scale.is_some() {
         return trusted;
     }
-    let doubtful = segment(usable().filter(|trajectory| is_doubtful(trajectory)).collect());
-    Alike { source: doubtful.source, odd: [trusted.odd, doubtful.odd].concat() }
+    let doubtful = asked(doubtful);
+    VehicleSizes { odd: [trusted.odd, doubtful.odd].concat(), ..doubtful }
+}
+
+/// Meters by typical vehicle sizes as one source; `None` where no vehicle is of a class whose members are alike.
+pub(super) fn source_of(sizes: &VehicleSizes) -> Option<Source> {
+    let (log_scale, std) = sizes.log_scale?;
+    Some(Source { name: "typical vehicle sizes".to_owned(), kind: Kind::Prior, log_scale, std })
 }
 
 /// Sizes of all vehicles that have one: by trajectories that can be used, by outlines on the ground, by other
@@ -119,7 +90,7 @@ pub(super) fn sizes_of_all(
 ) -> BTreeMap<ObjectId, Size> {
     let on_ground = trajectories.ground_tracks.iter().filter_map(|track| {
         let distance_std = common_distance_std(track, background)?;
-        Some((track.id, Size::of_body(bodies.get(&track.id)?, distance_std)))
+        Some((track.id, size_of_body(bodies.get(&track.id)?, distance_std)))
     });
     let usable = trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out());
     let usable = usable.filter_map(|trajectory| Some((trajectory.id, *sizes.get(&trajectory.id)?)));
@@ -131,7 +102,7 @@ pub(super) fn alike_on_ground(
     tracks: &[GroundTrack],
     bodies: &BTreeMap<ObjectId, BodyOnGround>,
     background: &Reconstruction,
-) -> Alike {
+) -> VehicleSizes {
     let with_body = || tracks.iter().filter_map(|track| Some((track, bodies.get(&track.id)?)));
     let of_class = |(track, body)| {
         let mut found = extents_on_ground(track, body, 0.0);
@@ -143,9 +114,9 @@ pub(super) fn alike_on_ground(
     let extents: Vec<Extent> = with_body().flat_map(of_class).collect();
     let common = |(track, body): (_, &BodyOnGround)| Some(common_distance_std(track, background)?.hypot(body.mask_std));
     let common = median(with_body().filter_map(common).collect());
-    let mut found = Alike::of(vehicle_sizes(&extents));
-    found.source = found.source.zip(common).map(|(source, common)| Source { std: source.std.hypot(common), ..source });
-    found
+    let found = vehicle_sizes(&extents);
+    let log_scale = found.log_scale.zip(common).map(|((log_scale, std), common)| (log_scale, std.hypot(common)));
+    VehicleSizes { log_scale, ..found }
 }
 
 /// Standard deviation of the distances of a vehicle that all vehicles have in common, as a share of them: those of the
@@ -164,13 +135,7 @@ fn common_distance_std(track: &GroundTrack, background: &Reconstruction) -> Opti
 ///
 /// * `ratio_std` – common standard deviation of the dimensions, as a share of them.
 fn extents_on_ground(track: &GroundTrack, body: &BodyOnGround, ratio_std: f64) -> Vec<Extent> {
-    let Some(class) = VehicleClass::from_label(&track.class) else { return Vec::new() };
-    let dimensions = Dimension::ALL.into_iter().zip([body.length, body.width, body.height]);
-    let extent = |(dimension, found): (Dimension, Option<Estimate>)| {
-        let Estimate { value, std } = found?;
-        Some(Extent { vehicle: track.id.0, class, dimension, value, std, ratio_std, is_unconfirmed: false })
-    };
-    dimensions.filter_map(extent).collect()
+    extents_of(track.id, &track.class, &size_of_body(body, 0.0), ratio_std, false)
 }
 
 /// Calls every bus or truck on the ground that has the size of a car a car, and its trajectory, too.
@@ -205,19 +170,7 @@ fn is_guessed(scale: &ScaleEstimate) -> bool {
     !has_outline && scale.shares.is_some_and(depends)
 }
 
-impl Alike {
-    fn of(found: VehicleSizes) -> Self {
-        let name = "typical vehicle sizes".to_owned();
-        let source = |(log_scale, std)| Source { name, kind: Kind::Prior, log_scale, std };
-        Self { source: found.log_scale.map(source), odd: found.odd }
-    }
-
-    /// These, or others of which the source is the surer one.
-    pub(super) fn or_if_surer(self, other: Self) -> Self {
-        let std = |alike: &Self| alike.source.as_ref().map_or(f64::INFINITY, |source| source.std);
-        if std(&other) < std(&self) { other } else { self }
-    }
-
+impl VehicleSizes {
     /// Says which vehicles are odd.
     pub(super) fn warn(&self, outcome: &mut Outcome) {
         for OddVehicle { vehicle, oddity, deviations } in &self.odd {
@@ -304,14 +257,22 @@ fn size_doubt(odd: &OddVehicle, class: &str) -> Reason {
 
 fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> Vec<Extent> {
     let Some(size) = sizes.get(&trajectory.id) else { return Vec::new() };
-    let Some(class) = VehicleClass::from_label(&trajectory.class) else { return Vec::new() };
     let ratio_std = trajectory.scale.std.unwrap_or(0.0) / trajectory.scale.ratio;
     let is_unconfirmed = is_doubtful(trajectory) || is_guessed(&trajectory.scale);
-    let extent = |dimension| {
-        let Estimate { value, std } = size.of(dimension)?;
+    let alone = |Estimate { value, std }: Estimate| {
         // The deviation of a size has that of the ratio in it. No size is known better than to a thousandth.
         let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(1e-3 * value);
-        Some(Extent { vehicle: trajectory.id.0, class, dimension, value, std, ratio_std, is_unconfirmed })
+        Estimate { value, std }
+    };
+    let size = size.map(|found| found.map(alone));
+    extents_of(trajectory.id, &trajectory.class, &size, ratio_std, is_unconfirmed)
+}
+
+fn extents_of(id: ObjectId, class: &str, size: &Size, ratio_std: f64, is_unconfirmed: bool) -> Vec<Extent> {
+    let Some(class) = VehicleClass::from_label(class) else { return Vec::new() };
+    let extent = |dimension| {
+        let Estimate { value, std } = size[dimension as usize]?;
+        Some(Extent { vehicle: id.0, class, dimension, value, std, ratio_std, is_unconfirmed })
     };
     Dimension::ALL.into_iter().filter_map(extent).collect()
 }
@@ -324,7 +285,7 @@ mod tests {
 
     fn sizes() -> BTreeMap<ObjectId, Size> {
         let length = Some(Estimate { value: 2.0, std: 0.02 });
-        [(ObjectId(3), Size { length, ..Size::default() })].into()
+        [(ObjectId(3), [length, None, None])].into()
     }
 
     #[test]
@@ -347,19 +308,15 @@ mod tests {
         let mut trajectory = ObjectTrajectory::new(ObjectId(id), "car", 1.0, scale);
         trajectory.verdict = Some(Verdict { state, reasons: Vec::new() });
         let extent = |units: f64| Some(Estimate { value: factor * units, std: 0.02 * factor * units });
-        (trajectory, (ObjectId(id), Size { length: extent(4.3), width: extent(1.8), height: extent(1.48) }))
+        (trajectory, (ObjectId(id), [4.3, 1.8, 1.48].map(extent)))
     }
 
     #[test]
     fn impossible_sizes_count_against_the_verdict() {
         let state = |factors: [f64; 3], known: Option<(f64, f64)>| {
             let (trajectory, (id, size)) = car(1, 1.0, Trust::Good);
-            let scaled = |extent: Option<Estimate>, by: f64| {
-                extent.map(|Estimate { value, std }| Estimate { value: by * value, std: by * std })
-            };
-            let [l, w, h] = factors;
-            let size =
-                Size { length: scaled(size.length, l), width: scaled(size.width, w), height: scaled(size.height, h) };
+            let scaled = |k: usize| size[k].map(|extent: Estimate| extent.scaled(factors[k]));
+            let size = [0, 1, 2].map(scaled);
             let mut objects = [trajectory];
             doubt_sizes(&mut objects, &[(id, size)].into(), known, &mut Outcome::default());
             let [trajectory] = objects;
@@ -398,14 +355,14 @@ mod tests {
             trajectory.scale.std = trajectory.scale.shares.map(|shares| shares.total());
             let objects = vec![trajectory];
             let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks: Vec::new() };
-            alike(&all, &[(id, size)].into()).source.unwrap().std
+            source_of(&alike(&all, &[(id, size)].into())).unwrap().std
         };
         assert!(std(5, 0.06) < 0.1 && std(0, 0.01) < 0.1, "{} {}", std(5, 0.06), std(0, 0.01));
         assert!(std(0, 0.06) > 0.25, "{}", std(0, 0.06));
     }
 
     #[test]
-    fn sizes_on_the_ground_serve_where_no_trajectory_is_surer() {
+    fn sizes_on_the_ground_serve_where_there_is_no_trajectory() {
         let image = Image {
             name: "0.jpg".into(),
             camera: CameraId(1),
@@ -434,12 +391,12 @@ mod tests {
         };
         // Two metres are a unit; from above a detector takes a car for a bus.
         for class in ["car", "bus"] {
-            let source = found(class, 0.0).source.unwrap();
+            let source = source_of(&found(class, 0.0)).unwrap();
             assert!((source.log_scale.exp() - 0.5).abs() < 0.05 && source.std > 0.05, "{class}: {source:?}");
         }
-        assert!(found("vehicle", 0.0).source.is_none(), "anything that moves is no car");
+        assert!(source_of(&found("vehicle", 0.0)).is_none(), "anything that moves is no car");
         let unsure = found("car", 2.0);
-        assert!(unsure.source.as_ref().unwrap().std > 0.2, "the error of all distances is the error of all sizes");
+        assert!(source_of(&unsure).unwrap().std > 0.2, "the error of all distances is the error of all sizes");
         let (trajectory, size) = car(3, 1.0, Trust::Good);
         let all = Trajectories {
             unit: Unit::Background,
@@ -447,10 +404,8 @@ mod tests {
             objects: vec![trajectory],
             ground_tracks: vec![track(1, "car", 0.0), track(3, "car", 0.0)],
         };
-        let models = alike(&all, &[size].into()).source;
-        assert_eq!(alike(&all, &[size].into()).or_if_surer(unsure).source, models);
         let sizes = sizes_of_all(&all, &[size].into(), &bodies, &background);
-        assert_eq!(sizes[&ObjectId(1)].length, extent(8.6), "on the ground, without a trajectory");
+        assert_eq!(sizes[&ObjectId(1)][Dimension::Length as usize], extent(8.6), "on the ground, without a trajectory");
         assert_eq!(sizes[&ObjectId(3)], size.1, "a good trajectory has the last word");
         let mut tracks = [track(1, "bus", 0.0), track(2, "bus", 0.0)];
         let of_a_bus = BodyOnGround { length: extent(24.0), width: extent(5.0), ..BodyOnGround::default() };
@@ -464,7 +419,7 @@ mod tests {
         let segment = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
             let (objects, sizes): (Vec<_>, Vec<_>) = cars.into_iter().unzip();
             let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks: Vec::new() };
-            alike(&all, &sizes.into_iter().collect()).source
+            source_of(&alike(&all, &sizes.into_iter().collect()))
         };
         let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));
         assert_eq!(segment(vec![good(), doubtful()]), segment(vec![good()]));

@@ -29,7 +29,6 @@ use crate::pipeline::{Instances, MotionChoice, Result, Stage};
 use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
 use point_tracks::Followed;
 
-pub(in crate::pipeline) const PREFIX: &str = "motion-";
 const LABELS: &str = "labels.bin";
 
 /// The points of a run and what is known of each.
@@ -57,12 +56,12 @@ fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     if !point_tracks::is_wanted(run)? {
         return Ok(());
     }
-    let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
-    let Followed { frames, tracks } = point_tracks::points(run, &folder, outcome)?;
+    let folder = run.workspace.intermediate(Stage::Motion, &outcome.fingerprint)?;
+    let Followed { frames, tracks } = point_tracks::points(run)?;
     // Of a long video the background takes as much room as what comes now.
     let world = World::new(run, &run.workspace.read_background()?, &frames, outcome);
     let labels = classify(&tracks, &world.surroundings(run));
@@ -139,18 +138,12 @@ fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Opti
     if background.is_empty() {
         return None;
     }
-    match dominant_plane_points(background, &run.options.ground, run.options.seed) {
-        Ok(plane) => {
-            let position = |id| background.points.get(id).map(|point| point.position);
-            let points: Vec<Point3<f64>> = plane.point_ids.iter().filter_map(position).collect();
-            GroundModel::new(plane.normal, plane.point, &points)
-        }
-        Err(error) => {
-            let text = format!("motion detection without the ground: {error}");
-            outcome.note(Topic::MotionWithoutGround.warning(text));
-            None
-        }
-    }
+    let plane = dominant_plane_points(background, &run.options.ground, run.options.seed);
+    let text = |error| format!("motion detection without the ground: {error}");
+    let plane = plane.map_err(|error| outcome.note(Topic::MotionWithoutGround.warning(text(error)))).ok()?;
+    let position = |id| background.points.get(id).map(|point| point.position);
+    let points: Vec<Point3<f64>> = plane.point_ids.iter().filter_map(position).collect();
+    GroundModel::new(plane.normal, plane.point, &points)
 }
 
 fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Result<()> {
@@ -171,7 +164,7 @@ fn write_boxes(folder: &Path, frames: &[Frame], found: &[MovingObject]) -> Resul
 }
 
 pub(in crate::pipeline) fn folder(run: &Run) -> PathBuf {
-    run.folder(PREFIX, Stage::Motion)
+    run.folder(Stage::Motion)
 }
 
 /// The boxes of what moves; the stage must be done.
@@ -184,8 +177,7 @@ pub(in crate::pipeline) fn points(run: &Run) -> Result<Points> {
     if !point_tracks::is_wanted(run)? {
         return Ok(Points::default());
     }
-    let folder = folder(run);
-    let Followed { frames, tracks } = point_tracks::kept_points(run, &folder)?;
+    let Followed { frames, tracks } = point_tracks::points(run)?;
     let frames = frames.into_iter().map(|frame| frame.id).collect();
-    Ok(Points { frames, tracks, labels: intermediate::read(&folder.join(LABELS))? })
+    Ok(Points { frames, tracks, labels: intermediate::read(&folder(run).join(LABELS))? })
 }

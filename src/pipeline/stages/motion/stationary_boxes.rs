@@ -13,18 +13,9 @@ use crate::pipeline::stages::segment::detections::FrameFolder;
 use crate::scene::{Frame, FrameId, Rect};
 use crate::tracking::DetectedBox;
 
-/// Where it is kept, in the folder of the stage `motion`.
-const FOLDER: &str = "standing";
-
-/// The boxes of a frame of which something is known.
-type Known = FrameFolder<StationaryBox>;
-
-/// Which of a frame's boxes stands, by its number.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-struct StationaryBox(u32);
-
-fn known(motion_folder: &Path) -> Known {
-    FrameFolder::new(motion_folder.join(FOLDER))
+/// The numbers of the boxes that stand, by frame, in the folder of the stage `motion`.
+fn known(motion_folder: &Path) -> FrameFolder<u32> {
+    FrameFolder::new(motion_folder.join("standing"))
 }
 
 /// Says of all boxes of the detector which of them stand.
@@ -37,8 +28,6 @@ pub(in crate::pipeline) fn write(
     tracks: &[PointTrack],
     labels: &[TrackLabel],
 ) -> Result<()> {
-    let path = motion_folder.join(FOLDER);
-    std::fs::create_dir_all(&path).map_err(crate::io::IoError::system("create", &path))?;
     let (detected, known) = (segment::finished_boxes(run), known(motion_folder));
     for ((index, frame), live) in (0u32..).zip(frames).zip(alive(tracks)) {
         let boxes = detected.read(frame.id)?;
@@ -50,8 +39,8 @@ pub(in crate::pipeline) fn write(
         let stands = |rect: &Rect| {
             shows_standing(seen.iter().filter(|([x, y], _)| rect.contains(*x, *y)).map(|(_, label)| label.verdict))
         };
-        let standing: Vec<StationaryBox> =
-            (0u32..).zip(&boxes).filter(|(_, found)| stands(&found.rect)).map(|(k, _)| StationaryBox(k)).collect();
+        let standing: Vec<u32> =
+            (0u32..).zip(&boxes).filter(|(_, found)| stands(&found.rect)).map(|(k, _)| k).collect();
         known.write(frame, &standing)?;
     }
     Ok(())
@@ -60,10 +49,9 @@ pub(in crate::pipeline) fn write(
 /// The boxes of the detector in a frame, and which of them stand. The stages `segment` and `motion` must be done.
 pub(in crate::pipeline) fn boxes(run: &Run, detected: &segment::BoxFolder, frame: FrameId) -> Result<Vec<DetectedBox>> {
     let mut found: Vec<DetectedBox> = detected.read(frame)?.into_iter().map(DetectedBox::from).collect();
-    let path = super::folder(run);
-    for StationaryBox(number) in known(&path).read(frame)? {
-        let wrong =
-            || intermediate::damaged(&path.join(FOLDER), format!("frame {}: box {number} does not exist", frame.0));
+    let known = known(&super::folder(run));
+    for number in known.read(frame)? {
+        let wrong = || intermediate::damaged(&known.path(frame), format!("box {number} does not exist"));
         found.get_mut(number as usize).ok_or_else(wrong)?.stands = true;
     }
     Ok(found)

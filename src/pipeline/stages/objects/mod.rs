@@ -1,17 +1,16 @@
 //! Stage `objects`: a model of every object, reconstructed or given.
 //!
 //! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames
-//! compares all of them with the masks, and the points that lie next to those are taken out. An object's marker says
-//! which of the two is done: a run that is killed in the pass does it again for the objects that have not been through
-//! it.
+//! compares all of them with the masks, and the points that lie next to those are taken out. A run that is killed goes
+//! on with the objects that are left, and does the pass again.
 
 mod footing;
 mod object_boxes;
 
 use crate::mapper;
 use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
 
 use super::background::{self, ModelReport};
@@ -22,6 +21,7 @@ use crate::camera::Camera;
 use crate::features::Target;
 use crate::features::TrackTable;
 use crate::io::interchange::colmap;
+use crate::io::{atomic, json};
 use crate::mapper::silhouette::{SilhouetteOptions, SilhouetteVotes};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{given_models, order};
@@ -43,19 +43,19 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let given: Result<BTreeMap<_, _>> =
         run.options.object_models.iter().map(|(id, path)| Ok((id, given_models::fingerprint(path)?))).collect();
     let (_, objects) = order::sfm_options(run)?;
-    let cache_key = json!({
+    Ok(json!({
         "models": given?,
+        "model_files": run.options.model_files,
         "only": run.options.only_objects,
         "options": objects.mapper,
         "ground": run.options.ground,
         "stationary": run.options.scale.stationary,
         "shape": ground::body_shape(run.options),
         "seed": run.options.seed,
-    });
-    Ok(background::with_model_files(cache_key, run))
+    }))
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let tracked = run.workspace.read_tracked()?;
     let wanted: Vec<&TrackedObject> = tracked.iter().filter(|object| run.options.wants(object.id)).collect();
     let background = run.workspace.read_background()?;
@@ -65,26 +65,33 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
     // The frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
-    let mut markers = BTreeMap::new();
+    let folder = run.workspace.intermediate(Stage::Objects, &outcome.fingerprint)?;
+    let mut reports = BTreeMap::new();
     let mut num_done = 0;
     for object in wanted {
         run.go_on()?;
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
-        markers.insert(object.id, one_object(run, object, &place, fingerprint, &mut watch)?);
+        reports.insert(object.id, one_object(run, object, &place, &folder, &mut watch)?);
         num_done += of_this as u64;
         run.progress.reach(num_done);
     }
-    check_silhouettes(run, &tracked, &mut markers)?;
-    let reports: BTreeMap<ObjectId, ModelReport> =
-        markers.into_iter().map(|(id, marker)| (id, marker.report)).collect();
+    check_silhouettes(run, &tracked, &folder, &mut reports)?;
     for (id, report) in &reports {
         describe(*id, report, outcome);
     }
-    run.workspace.keep_objects(&run.workspace.all_as_reconstructed(), |id| reports.contains_key(&id))?;
-    let models = reports.iter().filter(|(_, report)| report.failure.is_none());
-    outcome.outputs.extend(models.map(|(&id, _)| run.workspace.as_reconstructed(id)));
-    run.keep(REPORTS, &reports, outcome)
+    let has_model = |id: &ObjectId| reports.get(id).is_some_and(|report| report.failure.is_none());
+    run.workspace.keep_objects(&run.workspace.all_as_reconstructed(), |id| has_model(&id))?;
+    outcome.outputs.extend(reports.keys().filter(|id| has_model(id)).map(|&id| run.workspace.as_reconstructed(id)));
+    run.keep(REPORTS, &reports, outcome)?;
+    // Reports first: a run that is killed here must find no report without its model.
+    reports.keys().try_for_each(|id| atomic::remove(&report_in(&folder, *id)))?;
+    Ok(atomic::remove_folder(&folder)?)
+}
+
+/// The report of an object that is reconstructed, until all of them are.
+fn report_in(folder: &Path, id: ObjectId) -> PathBuf {
+    folder.join(format!("{id}.json"))
 }
 
 fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
@@ -128,36 +135,6 @@ pub(in crate::pipeline) fn as_reconstructed(
     report.failure.is_none().then(|| Ok(run.workspace.read_as_reconstructed(id)?)).transpose()
 }
 
-/// Progress of an object, for a run that was stopped in this stage.
-#[derive(Serialize, Deserialize)]
-struct ObjectMarker {
-    fingerprint: String,
-    /// True if the model was compared with the masks, or needs no comparison.
-    is_checked: bool,
-    report: ModelReport,
-}
-
-impl ObjectMarker {
-    /// Returns true if the models that the marker names exist.
-    fn has_models(&self, run: &Run, id: ObjectId) -> bool {
-        let workspace = run.workspace;
-        let are_there = match self.is_checked {
-            true => workspace.as_reconstructed(id).is_dir(),
-            false => workspace.unchecked_objects().join(id.to_string()).is_dir(),
-        };
-        are_there || self.report.failure.is_some()
-    }
-
-    /// To be called when the models are in their places.
-    fn write(&self, run: &Run, id: ObjectId) -> Result<()> {
-        run.workspace.write_state(&marker_name(id), self)
-    }
-}
-
-fn marker_name(id: ObjectId) -> String {
-    format!("object-{id}.json")
-}
-
 /// Context of the objects' reconstructions.
 struct ObjectContext<'a> {
     /// `None` without a background.
@@ -186,7 +163,7 @@ impl ObjectContext<'_> {
         if by_points.is_some_and(PointFinding::points_move) {
             return Ok(None);
         }
-        let Some(found) = background::triangulate(run, table, camera, options, self.background)? else {
+        let Some(found) = background::triangulate(table, camera, options, self.background)? else {
             return Ok(None);
         };
         let frames = run.frames()?;
@@ -197,18 +174,18 @@ impl ObjectContext<'_> {
     }
 }
 
-/// One object's reconstruction, which is still to be compared with the masks; or its model that was given.
+/// One object's report and, in `folder`, its model, which is still to be compared with the masks unless it was given.
 fn one_object(
     run: &Run,
     object: &TrackedObject,
     place: &ObjectContext<'_>,
-    fingerprint: &str,
+    folder: &Path,
     watch: &mut (dyn FnMut(f64) + Send),
-) -> Result<ObjectMarker> {
+) -> Result<ModelReport> {
     let id = object.id;
-    let before: Option<ObjectMarker> = run.workspace.read_state(&marker_name(id)).ok();
-    if let Some(before) = before.filter(|marker| marker.fingerprint == fingerprint && marker.has_models(run, id)) {
-        return Ok(before);
+    let kept = report_in(folder, id);
+    if let Ok(report) = json::read(&kept) {
+        return Ok(report);
     }
     let given = run.options.object_models.get(&id);
     let failed =
@@ -232,19 +209,13 @@ fn one_object(
         (None, None) => failed(NO_BACKGROUND.to_owned()),
     };
     report.num_visible = object.frames.len();
-    let is_checked = given.is_some() || report.failure.is_some();
-    if report.failure.is_some() {
-        run.workspace.remove(&run.workspace.as_reconstructed(id))?;
-    } else if is_checked {
-        background::store(run, &run.workspace.as_reconstructed(id), &model)?;
-    } else {
-        let folder = run.workspace.unchecked_objects().join(id.to_string());
-        run.workspace.remove_state(&folder)?;
-        colmap::write(&folder, &model, colmap::Encoding::Auto)?;
+    if report.failure.is_none() {
+        let model_folder = folder.join(id.to_string());
+        atomic::remove_folder(&model_folder)?;
+        colmap::write(&model_folder, &model, colmap::Encoding::Auto)?;
     }
-    let marker = ObjectMarker { fingerprint: fingerprint.to_owned(), is_checked, report };
-    marker.write(run, id)?;
-    Ok(marker)
+    atomic::write_json(&kept, &report)?;
+    Ok(report)
 }
 
 /// A mask, grown by what its border may be off: a pixel, and a hundredth of its longer side.
@@ -260,32 +231,36 @@ struct Unchecked {
     votes: SilhouetteVotes,
 }
 
-/// Takes the points out of all unchecked reconstructions that lie next to their masks; every mask is read once.
+/// Stores all models, those that were reconstructed without the points that lie next to their masks; every mask is read
+/// once.
 fn check_silhouettes(
     run: &Run,
     tracked: &[TrackedObject],
-    markers: &mut BTreeMap<ObjectId, ObjectMarker>,
+    folder: &Path,
+    reports: &mut BTreeMap<ObjectId, ModelReport>,
 ) -> Result<()> {
-    let folder = run.workspace.unchecked_objects();
-    let unchecked = markers.iter().filter(|(_, marker)| !marker.is_checked).map(|(&id, _)| {
+    let store =
+        |id: ObjectId, model: &Reconstruction| background::store(run, &run.workspace.as_reconstructed(id), model);
+    let mut unchecked: BTreeMap<ObjectId, Unchecked> = BTreeMap::new();
+    for (&id, report) in reports.iter().filter(|(_, report)| report.failure.is_none()) {
         let model = colmap::read(&folder.join(id.to_string()))?;
-        let votes = SilhouetteVotes::new(&model);
-        Ok((id, Unchecked { model, votes }))
-    });
-    let mut unchecked: BTreeMap<ObjectId, Unchecked> = unchecked.collect::<Result<_>>()?;
+        if report.given {
+            store(id, &model)?;
+        } else {
+            unchecked.insert(id, Unchecked { votes: SilhouetteVotes::new(&model), model });
+        }
+    }
     vote(run, tracked, &mut unchecked)?;
     for (id, Unchecked { mut model, votes }) in unchecked {
-        let Some(marker) = markers.get_mut(&id) else { continue };
+        let Some(report) = reports.get_mut(&id) else { continue };
         let outside = votes.outside(&SilhouetteOptions::default());
         model.remove_points(&outside);
-        marker.report.num_outside_masks = outside.len();
-        drop_bare_views(&mut model, &mut marker.report);
-        marker.report.describe_points(&model);
-        background::store(run, &run.workspace.as_reconstructed(id), &model)?;
-        marker.is_checked = true;
-        marker.write(run, id)?;
+        report.num_outside_masks = outside.len();
+        drop_bare_views(&mut model, report);
+        report.describe_points(&model);
+        store(id, &model)?;
     }
-    run.workspace.remove_state(&folder)
+    Ok(())
 }
 
 /// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground

@@ -3,12 +3,12 @@
 use std::marker::PhantomData;
 use std::path::PathBuf;
 
+use serde::Serialize;
 use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
 
 use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate::{self, damaged};
-use crate::scene::{Detection, Frame, FrameId, Mask};
+use crate::scene::{Frame, FrameId, Mask};
 
 /// A folder with a list of things per frame.
 #[derive(Clone, Debug)]
@@ -40,118 +40,63 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
         let path = self.path(frame);
         if path.is_file() { intermediate::read(&path) } else { Ok(Vec::new()) }
     }
-}
 
-/// A detection with its mask as run lengths, clear pixels first.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub(super) struct Stored {
-    class: String,
-    confidence: f64,
-    runs: Vec<u32>,
-}
-
-impl From<Detection> for Stored {
-    fn from(Detection { class, confidence, mask }: Detection) -> Self {
-        Self { class, confidence, runs: runs_of_mask(&mask) }
-    }
-}
-
-/// The detections of a run, by frame.
-#[derive(Clone, Debug)]
-pub(in crate::pipeline) struct DetectionFolder {
-    pub(super) files: FrameFolder<Stored>,
-    size: (u32, u32),
-}
-
-impl DetectionFolder {
-    pub(in crate::pipeline) fn new(folder: PathBuf, size: (u32, u32)) -> Self {
-        Self { files: FrameFolder::new(folder), size }
-    }
-
-    /// The detections of a frame; none for one that could not be decoded.
-    pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<Detection>> {
-        let detection = |s: Stored| {
-            let wrong = || damaged(&self.files.path(frame), "a mask differs in size from its frame");
-            let mask = mask_of_runs(&s.runs, self.size).ok_or_else(wrong)?;
-            Ok(Detection { class: s.class, confidence: s.confidence, mask })
-        };
-        self.files.read(frame)?.into_iter().map(detection).collect()
-    }
-}
-
-/// A mask as run lengths, clear pixels first.
-pub(in crate::pipeline) fn runs_of_mask(mask: &Mask) -> Vec<u32> {
-    let (mut runs, mut end) = (Vec::new(), 0);
-    for at in mask.iter().map(|(x, y)| y * mask.width() + x) {
-        match runs.last_mut() {
-            Some(run) if at == end => *run += 1,
-            _ => runs.extend([at - end, 1]),
+    /// As [`Self::read`], of things with masks, which must have a size.
+    pub(in crate::pipeline) fn read_masks(
+        &self,
+        frame: FrameId,
+        size: (u32, u32),
+        mask: impl Fn(&T) -> &Mask,
+    ) -> Result<Vec<T>> {
+        let found = self.read(frame)?;
+        match found.iter().all(|thing| mask(thing).size() == size) {
+            true => Ok(found),
+            false => Err(damaged(&self.path(frame), "a mask differs in size from its frame")),
         }
-        end = at + 1;
     }
-    let total = mask.width() * mask.height();
-    if end < total || runs.is_empty() {
-        runs.push(total - end);
-    }
-    runs
-}
-
-/// The mask of run lengths, if it has the size.
-pub(in crate::pipeline) fn mask_of_runs(runs: &[u32], (width, height): (u32, u32)) -> Option<Mask> {
-    let total: u64 = runs.iter().map(|&run| u64::from(run)).sum();
-    if total != u64::from(width) * u64::from(height) {
-        return None;
-    }
-    let mut mask = Mask::empty(width, height);
-    let mut at = 0;
-    for (k, &run) in runs.iter().enumerate() {
-        let end = at + run;
-        while k % 2 == 1 && at < end {
-            let (x, y) = (at % width, at / width);
-            let part = (end - at).min(width - x);
-            mask.fill(x..x + part, y, true);
-            at += part;
-        }
-        at = end;
-    }
-    Some(mask)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::Detection;
+
+    const SIZE: (u32, u32) = (7, 5);
+
+    fn read(store: &FrameFolder<Detection>, frame: FrameId, size: (u32, u32)) -> Result<Vec<Detection>> {
+        store.read_masks(frame, size, |found| &found.mask)
+    }
 
     #[test]
     fn detections_come_back() {
         let folder = tempfile::tempdir().unwrap();
-        let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
+        let store = FrameFolder::new(folder.path().to_owned());
         let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
         let found: Vec<Detection> = [|x, y| x > 2 && y > 1, |_, _| true, |_, _| false]
             .iter()
             .map(|inside: &fn(u32, u32) -> bool| Mask::from_fn(7, 5, inside))
             .map(|mask| Detection { class: "car".into(), confidence: 0.25, mask })
             .collect();
-        assert!(!store.files.has(&frame));
-        store.files.write(&frame, &found.iter().cloned().map(Stored::from).collect::<Vec<_>>()).unwrap();
-        assert!(store.files.has(&frame));
-        assert_eq!(store.read(frame.id).unwrap(), found);
-        assert!(store.read(FrameId(4)).unwrap().is_empty());
+        assert!(!store.has(&frame));
+        store.write(&frame, &found).unwrap();
+        assert!(store.has(&frame));
+        assert_eq!(read(&store, frame.id, SIZE).unwrap(), found);
+        assert!(read(&store, FrameId(4), SIZE).unwrap().is_empty());
     }
 
     #[test]
     fn damaged_files_are_errors() {
         let folder = tempfile::tempdir().unwrap();
-        let store = DetectionFolder::new(folder.path().to_owned(), (7, 5));
+        let store = FrameFolder::new(folder.path().to_owned());
         let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
         let found = Detection { class: "car".into(), confidence: 0.5, mask: Mask::empty(7, 5) };
-        store.files.write(&frame, &[found.into()]).unwrap();
-        let bytes = std::fs::read(store.files.path(frame.id)).unwrap();
+        store.write(&frame, &[found]).unwrap();
+        let bytes = std::fs::read(store.path(frame.id)).unwrap();
         for length in 0..bytes.len() {
-            std::fs::write(store.files.path(frame.id), &bytes[..length]).unwrap();
-            assert!(store.read(frame.id).is_err(), "cut at {length}");
+            std::fs::write(store.path(frame.id), &bytes[..length]).unwrap();
+            assert!(read(&store, frame.id, SIZE).is_err(), "cut at {length}");
         }
-        std::fs::write(store.files.path(frame.id), &bytes).unwrap();
-        let other = DetectionFolder::new(folder.path().to_owned(), (7, 6));
-        assert!(other.read(frame.id).is_err());
+        std::fs::write(store.path(frame.id), &bytes).unwrap();
+        assert!(read(&store, frame.id, (7, 6)).is_err());
     }
 }

@@ -3,7 +3,7 @@
 pub(in crate::pipeline) mod detections;
 pub(in crate::pipeline) mod schedule;
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::Serialize;
 use serde::de::DeserializeOwned;
@@ -15,15 +15,14 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::{Networks, of_networks};
 use crate::pipeline::{Instances, Result, Stage};
-use crate::scene::{BoxDetection, Frame, Topic};
-use detections::{DetectionFolder, FrameFolder, Stored};
+use crate::scene::{BoxDetection, Detection, Frame, Topic};
+use detections::FrameFolder;
 use schedule::Schedule;
 
 /// The boxes of a run, by frame.
 pub(in crate::pipeline) type BoxFolder = FrameFolder<BoxDetection>;
-
-pub(in crate::pipeline) const MASKS: &str = "detections-";
-pub(in crate::pipeline) const BOXES: &str = "boxes-";
+/// The detections of a run, by frame.
+pub(in crate::pipeline) type DetectionFolder = FrameFolder<Detection>;
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     Ok(match &run.options.instances {
@@ -42,26 +41,22 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
     match &run.options.instances {
         Instances::None | Instances::Masks(_) => Ok(()),
-        Instances::Model(path) => find_masks(run, path, fingerprint, outcome),
-        Instances::Vehicles => find_boxes(run, fingerprint, outcome),
+        Instances::Model(path) => find_masks(run, path, outcome),
+        Instances::Vehicles => find_boxes(run, outcome),
     }
 }
 
 /// The masks that the user's network found; the stage must be done.
 pub(in crate::pipeline) fn finished(run: &Run) -> DetectionFolder {
-    masks_in(run, run.folder(MASKS, Stage::Segment))
+    FrameFolder::new(run.folder(Stage::Segment))
 }
 
 /// The boxes that the detector found; the stage must be done.
 pub(in crate::pipeline) fn finished_boxes(run: &Run) -> BoxFolder {
-    FrameFolder::new(run.folder(BOXES, Stage::Segment))
-}
-
-fn masks_in(run: &Run, folder: PathBuf) -> DetectionFolder {
-    DetectionFolder::new(folder, run.size())
+    FrameFolder::new(run.folder(Stage::Segment))
 }
 
 /// Loads the user's network with the options of the run.
@@ -69,13 +64,11 @@ pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<Box<dyn Segme
     Ok(load_segmenter(model, &run.options.segmentation, run.options.resources())?)
 }
 
-fn find_masks(run: &Run, model: &Path, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
-    let path = run.workspace.intermediate(MASKS, fingerprint)?;
-    let store = masks_in(run, path.clone());
+fn find_masks(run: &Run, model: &Path, outcome: &mut Outcome) -> Result<()> {
+    let path = run.workspace.intermediate(Stage::Segment, &outcome.fingerprint)?;
+    let store = DetectionFolder::new(path.clone());
     let mut segmenter = load(run, model)?;
-    let found = search(run, run.frames()?.iter(), &store.files, outcome, |picture| {
-        Ok(segmenter.segment(picture)?.into_iter().map(Stored::from).collect())
-    })?;
+    let found = search(run, run.frames()?.iter(), &store, outcome, |picture| segmenter.segment(picture))?;
     if found == 0 {
         outcome.warn(Topic::ModelFindsNoVehicle.warning(format!(
             "{}: no vehicle detected in any frame; the network may not know such views, or the vehicles are too small \
@@ -87,8 +80,8 @@ fn find_masks(run: &Run, model: &Path, fingerprint: &str, outcome: &mut Outcome)
     Ok(())
 }
 
-fn find_boxes(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
-    let path = run.workspace.intermediate(BOXES, fingerprint)?;
+fn find_boxes(run: &Run, outcome: &mut Outcome) -> Result<()> {
+    let path = run.workspace.intermediate(Stage::Segment, &outcome.fingerprint)?;
     outcome.outputs.push(path.clone());
     let networks = Networks::of(run)?;
     networks.doubts.iter().for_each(|doubt| outcome.warn(Topic::NetworksMissing.warning(doubt)));

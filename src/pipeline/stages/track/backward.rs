@@ -92,7 +92,7 @@ fn follow_back(
         let known = seen.map(|id| Ok((id, super::mask_in(run, folder, id, frame)?))).collect::<Result<Vec<_>>>()?;
         let near = |later| flow.flow(later, picture, &tracker.places());
         let carried = later.filter(|_| tracker.is_following()).map(near).transpose()?;
-        let prompter = finds.prompter_backward(frame)?;
+        let prompter = finds.prompter_backward(run, frame)?;
         let earlier = tracker.advance(frame, picture, &known, prompter, carried.as_ref())?;
         found.extend(earlier.into_iter().map(|mask| (frame.clone(), mask)));
         for Correction { frame, object, mask } in tracker.take_corrections() {

@@ -10,7 +10,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::networks::{BoxMask, BoxSegmenter, PerceptionError};
 use crate::pipeline::driver::intermediate;
-use crate::pipeline::stages::segment::detections::{mask_of_runs, runs_of_mask};
 use crate::scene::{FrameId, Rect};
 
 /// Which way the frames are gone through.
@@ -35,14 +34,7 @@ pub(super) struct CachedSegmenter {
 #[derive(Serialize, Deserialize)]
 struct CachedPrompts {
     boxes: Vec<Rect>,
-    answers: Vec<Option<CachedMask>>,
-}
-
-#[derive(Serialize, Deserialize)]
-struct CachedMask {
-    quality: f64,
-    /// Run lengths, clear pixels first.
-    runs: Vec<u32>,
+    answers: Vec<Option<BoxMask>>,
 }
 
 impl CachedSegmenter {
@@ -66,19 +58,13 @@ impl CachedSegmenter {
     /// Earlier answers; `None` if the file is damaged or of other boxes.
     fn recall(&self, size: (u32, u32), boxes: &[Rect]) -> Option<Vec<Option<BoxMask>>> {
         let asked: CachedPrompts = intermediate::read(&self.path()).ok()?;
-        if asked.boxes != boxes || asked.answers.len() != boxes.len() {
-            return None;
-        }
-        let answer =
-            |answer: CachedMask| Some(BoxMask { mask: mask_of_runs(&answer.runs, size)?, quality: answer.quality });
-        asked.answers.into_iter().map(|found| found.map_or(Some(None), |found| answer(found).map(Some))).collect()
+        let is_of_frame = asked.answers.iter().flatten().all(|answer| answer.mask.size() == size);
+        (is_of_frame && asked.boxes == boxes && asked.answers.len() == boxes.len()).then_some(asked.answers)
     }
 
     /// Keeps an answer. Where that fails there is one less to go on with; the masks themselves are written elsewhere.
     fn keep(&self, boxes: &[Rect], answers: &[Option<BoxMask>]) {
-        let answer = |found: &BoxMask| CachedMask { quality: found.quality, runs: runs_of_mask(&found.mask) };
-        let asked =
-            CachedPrompts { boxes: boxes.to_vec(), answers: answers.iter().map(|a| a.as_ref().map(answer)).collect() };
+        let asked = CachedPrompts { boxes: boxes.to_vec(), answers: answers.to_vec() };
         let written = intermediate::write(&self.path(), &asked);
         if written.is_err() {
             tracing::debug!("{}: not kept", self.path().display());

@@ -6,14 +6,14 @@ use std::path::{Path, PathBuf};
 use ::image::RgbImage;
 
 use super::cached_prompts::{CachedSegmenter, Pass};
-use crate::io::{IoError, RunFolder, masks};
+use crate::io::{IoError, RunFolder, atomic, masks};
 use crate::math::rounding::counted;
 use crate::networks::{BoxSegmenter, KnownMasks};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::inputs::networks::Networks;
 use crate::pipeline::stages::motion::stationary_boxes;
-use crate::pipeline::stages::segment::detections::{DetectionFolder, FrameFolder};
+use crate::pipeline::stages::segment::detections::FrameFolder;
 use crate::pipeline::stages::segment::schedule::Schedule;
 use crate::pipeline::stages::{motion, segment};
 use crate::pipeline::{Result, Stage};
@@ -26,7 +26,7 @@ use crate::tracking::{
 pub(super) enum Finds {
     /// Of a segmentation network of the user's, which looked at every frame.
     Masks {
-        folder: DetectionFolder,
+        folder: segment::DetectionFolder,
         /// Those of the current frame.
         known: KnownMasks,
     },
@@ -69,10 +69,10 @@ impl Finds {
     }
 
     /// Whom to ask for masks in a frame that is looked at again, from the end on; nobody in frames between.
-    pub(super) fn prompter_backward(&mut self, frame: &Frame) -> Result<Option<&mut dyn BoxSegmenter>> {
+    pub(super) fn prompter_backward(&mut self, run: &Run, frame: &Frame) -> Result<Option<&mut dyn BoxSegmenter>> {
         Ok(match self {
             Self::Masks { folder, known } => {
-                *known = KnownMasks::new(folder.read(frame.id)?);
+                *known = KnownMasks::new(folder.read_masks(frame.id, run.size(), |found| &found.mask)?);
                 Some(known)
             }
             Self::Boxes { prompter, rhythm, .. } => {
@@ -86,7 +86,7 @@ impl Finds {
     fn look(&mut self, run: &Run, index: usize, frame: &Frame) -> Result<FrameInput<'_>> {
         Ok(match self {
             Self::Masks { folder, known } => {
-                let detections = folder.read(frame.id)?;
+                let detections = folder.read_masks(frame.id, run.size(), |found| &found.mask)?;
                 let found = DetectedBox::of_masks(&detections);
                 *known = KnownMasks::new(detections);
                 FrameInput { found, by: BoxSource::Detector, prompter: Some(known) }
@@ -163,7 +163,7 @@ pub(super) fn follow(run: &Run, finds: &mut Finds, folder: &Path, outcome: &mut 
     let objects =
         summaries.into_iter().map(|summary| settle(folder, summary, &mut seen, &names)).collect::<Result<_, _>>()?;
     for dropped in seen.into_keys() {
-        run.workspace.remove_state(&provisional(folder, dropped))?;
+        atomic::remove_folder(&provisional(folder, dropped))?;
     }
     Ok(objects)
 }

@@ -61,13 +61,6 @@ impl Spot {
     }
 }
 
-/// Which end of a piece.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Side {
-    Beginning,
-    End,
-}
-
 /// Motion of a track at one of its ends.
 #[derive(Clone, Debug)]
 pub(super) struct EndMotion {
@@ -87,18 +80,12 @@ impl EndMotion {
     }
 }
 
-/// Which of a piece's frames say how it moves at an end of it, from the end on.
+/// Which of a piece's frames say how it moves at an end of it.
 ///
-/// * `frames` – id and time of those with a mask, ascending.
-pub(super) fn near(frames: &[(FrameId, f64)], side: Side) -> Vec<(FrameId, f64)> {
-    let from_end: Vec<(FrameId, f64)> = match side {
-        Side::Beginning => frames.to_vec(),
-        Side::End => frames.iter().rev().copied().collect(),
-    };
-    let Some(&(_, end_s)) = from_end.first() else { return Vec::new() };
-    let counts =
-        |(k, frame): (usize, (FrameId, f64))| (k < LOOK_FRAMES || (frame.1 - end_s).abs() <= LOOK_S).then_some(frame);
-    from_end.into_iter().enumerate().map_while(counts).collect()
+/// * `frames` – id and time of those with a mask, from the end on.
+pub(super) fn near(frames: &[(FrameId, f64)]) -> &[(FrameId, f64)] {
+    let is_near = |k: usize| k < LOOK_FRAMES || (frames[k].1 - frames[0].1).abs() <= LOOK_S;
+    &frames[..(0..frames.len()).take_while(|k| is_near(*k)).count()]
 }
 
 /// Motion of an object at the end of its track.
@@ -235,11 +222,11 @@ mod tests {
 
     #[test]
     fn the_ends_of_a_piece_are_looked_at_for_a_second_or_some_frames() {
-        let frames: Vec<(FrameId, f64)> = (0..90).map(|k| (FrameId(k), f64::from(k) / 32.0)).collect();
-        let end = near(&frames, Side::End);
+        let frames: Vec<(FrameId, f64)> = (0..90).rev().map(|k| (FrameId(k), f64::from(k) / 32.0)).collect();
+        let end = near(&frames);
         assert_eq!((end[0].0, end.len()), (FrameId(89), 33));
         let slow: Vec<(FrameId, f64)> = (0..20).map(|k| (FrameId(k), f64::from(k))).collect();
-        assert_eq!(near(&slow, Side::Beginning).len(), LOOK_FRAMES);
-        assert!(near(&[], Side::End).is_empty());
+        assert_eq!(near(&slow).len(), LOOK_FRAMES);
+        assert!(near(&[]).is_empty());
     }
 }

@@ -3,27 +3,15 @@
 
 use std::path::{Path, PathBuf};
 
-use serde::{Deserialize, Serialize};
-
 use crate::pipeline::driver::intermediate::damaged;
-use crate::pipeline::driver::run::Run;
-use crate::pipeline::stages::segment::detections::{FrameFolder, mask_of_runs, runs_of_mask};
+use crate::pipeline::driver::run::{Outcome, Run};
+use crate::pipeline::stages::segment::detections::FrameFolder;
 use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, Mask, ObjectId, TrackedObject};
 
-/// Prefix of the folder.
-const PREFIX: &str = "tracked-masks-";
-
-/// The mask of an object in a frame.
-#[derive(Serialize, Deserialize)]
-struct KeptMask {
-    object: ObjectId,
-    runs: Vec<u32>,
-}
-
 /// Masks by frame.
 pub(super) struct KeptMasks {
-    frames: FrameFolder<KeptMask>,
+    frames: FrameFolder<(ObjectId, Mask)>,
     size: (u32, u32),
 }
 
@@ -34,29 +22,22 @@ impl KeptMasks {
 
     /// Those of the stage, which must be done.
     pub(super) fn done(run: &Run) -> Self {
-        Self::new(run, run.folder(PREFIX, Stage::Track))
+        Self::new(run, run.folder(Stage::Track))
     }
 
-    /// Keeps the masks of the stage's folder, each image of which is decoded once; gives their own folder, too.
-    pub(super) fn keep(
-        run: &Run,
-        images: &Path,
-        objects: &[TrackedObject],
-        fingerprint: &str,
-    ) -> Result<(Self, PathBuf)> {
-        let folder = run.workspace.intermediate(PREFIX, fingerprint)?;
+    /// Keeps the masks of the stage's folder, each image of which is decoded once.
+    pub(super) fn keep(run: &Run, images: &Path, objects: &[TrackedObject], outcome: &mut Outcome) -> Result<Self> {
+        let folder = run.workspace.intermediate(Stage::Track, &outcome.fingerprint)?;
         let kept = Self::new(run, folder.clone());
+        outcome.outputs.push(folder);
         for frame in run.frames()? {
-            let kept_mask = |object| {
-                let mask = super::mask_in(run, images, object, frame)?;
-                Ok(KeptMask { object, runs: runs_of_mask(&mask) })
-            };
-            let found: Vec<KeptMask> = visible(objects, frame).map(kept_mask).collect::<Result<_>>()?;
+            let mask = |id| Ok((id, super::mask_in(run, images, id, frame)?));
+            let found: Vec<(ObjectId, Mask)> = visible(objects, frame).map(mask).collect::<Result<_>>()?;
             if !found.is_empty() {
                 kept.frames.write(frame, &found)?;
             }
         }
-        Ok((kept, folder))
+        Ok(kept)
     }
 
     /// The masks of objects in a frame, in the order in which they were kept.
@@ -65,17 +46,12 @@ impl KeptMasks {
         if wanted.is_empty() {
             return Ok(Vec::new());
         }
-        let kept = self.frames.read(frame.id)?;
-        let damaged = |problem| damaged(&self.frames.path(frame.id), problem);
-        if !wanted.iter().all(|id| kept.iter().any(|mask| mask.object == *id)) {
-            return Err(damaged("masks are missing"));
+        let mut kept = self.frames.read_masks(frame.id, self.size, |(_, mask)| mask)?;
+        kept.retain(|(id, _)| wanted.contains(id));
+        match kept.len() == wanted.len() {
+            true => Ok(kept),
+            false => Err(damaged(&self.frames.path(frame.id), "masks are missing")),
         }
-        let mask = |kept: KeptMask| {
-            let mask =
-                mask_of_runs(&kept.runs, self.size).ok_or_else(|| damaged("a mask differs in size from its frame"))?;
-            Ok((kept.object, mask))
-        };
-        kept.into_iter().filter(|mask| wanted.contains(&mask.object)).map(mask).collect()
     }
 }
 

@@ -10,11 +10,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use super::detected::Followed;
-use super::end_motion::{EndMotion, Fit, Ground, Side, Spot, course, near};
+use super::end_motion::{EndMotion, Fit, Ground, Spot, course, near};
 use super::mask_path;
 use crate::features::matching::{MatchOptions, match_features};
 use crate::features::rootsift::{FeatureOptions, Features, extract};
-use crate::io::IoError;
+use crate::io::{IoError, atomic};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::{images, order};
 use crate::pipeline::stages::motion;
@@ -163,14 +163,15 @@ fn piece(
     let seen = followed.frames.iter().filter_map(|id| Some((*id, frames[*index.get(id)?].time_s)));
     let seen: Vec<(FrameId, f64)> = seen.collect();
     let (Some(first), Some(last)) = (seen.first(), seen.last()) else { return Ok(None) };
-    let end = |side: Side| -> Result<Option<EndMotion>> {
+    let end = |from_end: &[(FrameId, f64)]| -> Result<Option<EndMotion>> {
         let mut spots = Vec::new();
-        for (id, time_s) in near(&seen, side) {
+        for &(id, time_s) in near(from_end) {
             spots.extend(Spot::of(id, time_s, &super::mask_in(run, folder, followed.summary.id, &frames[index[&id]])?));
         }
         Ok(course(&spots, ground))
     };
-    let (beginning, end) = (end(Side::Beginning)?, end(Side::End)?);
+    let reversed: Vec<_> = seen.iter().rev().copied().collect();
+    let (beginning, end) = (end(&seen)?, end(&reversed)?);
     Ok(Some(Piece { span: (first.0, last.0), times_s: (first.1, last.1), beginning, end }))
 }
 
@@ -237,15 +238,14 @@ fn merge(run: &Run, folder: &Path, followed: &mut Vec<Followed>, joined: &[Pair]
     let mut joined = joined.to_vec();
     // The latest first, so that a chain is gathered in its earliest piece.
     joined.sort_by(|a, b| followed[b.after].summary.first.cmp(&followed[a.after].summary.first));
-    let names: BTreeMap<FrameId, &Frame> = run.frames()?.iter().map(|frame| (frame.id, frame)).collect();
     let mut renamed: BTreeMap<ObjectId, ObjectId> = BTreeMap::new();
     let mut gone = BTreeSet::new();
     for pair in joined {
         let later = followed[pair.after].clone();
         let earlier = &mut followed[pair.before];
         let (from, to) = (later.summary.id, earlier.summary.id);
-        move_masks(folder, from, to, &later.frames, &names)?;
-        run.workspace.remove_state(&folder.join(from.to_string()))?;
+        move_masks(run, folder, from, to, &later.frames)?;
+        atomic::remove_folder(&folder.join(from.to_string()))?;
         renamed.insert(from, to);
         earlier.take(later, pair.evidence);
         gone.insert(pair.after);
@@ -264,14 +264,8 @@ fn merge(run: &Run, folder: &Path, followed: &mut Vec<Followed>, joined: &[Pair]
     Ok(())
 }
 
-fn move_masks(
-    folder: &Path,
-    from: ObjectId,
-    to: ObjectId,
-    frames: &[FrameId],
-    names: &BTreeMap<FrameId, &Frame>,
-) -> Result<()> {
-    for frame in frames.iter().filter_map(|id| names.get(id)) {
+fn move_masks(run: &Run, folder: &Path, from: ObjectId, to: ObjectId, frames: &[FrameId]) -> Result<()> {
+    for frame in run.frames()?.iter().filter(|frame| frames.binary_search(&frame.id).is_ok()) {
         let source = mask_path(folder, from, frame);
         std::fs::rename(&source, mask_path(folder, to, frame)).map_err(IoError::system("rename", &source))?;
     }

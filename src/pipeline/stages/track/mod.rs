@@ -15,20 +15,17 @@ use std::path::{Path, PathBuf};
 use serde_json::{Value, json};
 
 use super::segment::schedule::Schedule;
-use crate::io::{RunFolder, masks};
+use crate::io::{RunFolder, atomic, masks};
 use crate::networks::{FlowEstimator, load_flow};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::networks::{Networks, of_networks};
 use crate::pipeline::inputs::order;
-use crate::pipeline::{Instances, PipelineError, Result};
+use crate::pipeline::{Instances, PipelineError, Result, Stage};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
 use crate::tracking::{MaskEvidence, TrackSummary, support};
 use detected::Finds;
 use kept_masks::KeptMasks;
-
-/// Where masks that were asked for are kept while the stage is at work.
-pub(in crate::pipeline) const ANSWERS: &str = "answers-";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let options = run.options;
@@ -54,13 +51,13 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     })
 }
 
-pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut Outcome) -> Result<()> {
-    let answers = run.workspace.intermediate(ANSWERS, fingerprint)?;
+pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
+    // Masks that were asked for, while the stage is at work.
+    let answers = run.workspace.intermediate(Stage::Track, &outcome.fingerprint)?.join("answers");
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
         let (mut objects, summaries) = tracked(run, folder, &answers, outcome)?;
-        let (masks, kept) = KeptMasks::keep(run, folder, &objects, fingerprint)?;
-        outcome.outputs.push(kept);
-        let sighted = movement::find(run, &masks, &mut objects)?;
+        let masks = KeptMasks::keep(run, folder, &objects, outcome)?;
+        let sighted = movement::find(run, &masks, &mut objects, outcome)?;
         leave_out(&mut objects, &summaries, &sighted, outcome);
         Ok(objects)
     })?;
@@ -68,11 +65,11 @@ pub(in crate::pipeline) fn run_stage(run: &Run, fingerprint: &str, outcome: &mut
         let text = "no vehicle tracked: the result has no vehicle trajectories";
         outcome.warn(Topic::NoVehicleTracked.warning(text));
     }
-    run.workspace.remove_state(&answers)?;
+    atomic::remove_folder(&answers)?;
     run.workspace.put_file(&run.workspace.tracked(), |fresh| crate::io::tracks::write(fresh, &objects))?;
     outcome.figure("num_objects", objects.len());
     outcome.figure("num_moving", objects.iter().filter(|object| object.movement.state == Movement::Moving).count());
-    outcome.outputs.extend([run.workspace.tracks(), run.workspace.tracked(), movement::path(run)]);
+    outcome.outputs.extend([run.workspace.tracks(), run.workspace.tracked()]);
     Ok(())
 }
 

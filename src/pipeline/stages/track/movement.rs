@@ -1,7 +1,6 @@
 //! Which of the tracked objects moved: the points of the stage `motion` that lie on their masks say it.
 
 use std::collections::BTreeMap;
-use std::path::PathBuf;
 
 use nalgebra::Vector3;
 use serde::{Deserialize, Serialize};
@@ -13,7 +12,7 @@ use crate::motion::{
     without_sway,
 };
 use crate::pipeline::Result;
-use crate::pipeline::driver::run::Run;
+use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::stages::background;
 use crate::pipeline::stages::motion::{self, Points, World};
 use crate::scene::{
@@ -68,11 +67,6 @@ pub(in crate::pipeline) type PointFindings = BTreeMap<ObjectId, PointFinding>;
 /// The findings as the stage keeps them.
 const FINDINGS: &str = "track-movement.json";
 
-/// Path of the findings.
-pub(super) fn path(run: &Run) -> PathBuf {
-    run.workspace.state(FINDINGS)
-}
-
 /// The findings by points; the stage `track` must be done.
 pub(in crate::pipeline) fn by_points(run: &Run) -> Result<PointFindings> {
     run.workspace.read_state(FINDINGS)
@@ -83,6 +77,7 @@ pub(super) fn find(
     run: &Run,
     masks: &KeptMasks,
     objects: &mut [TrackedObject],
+    outcome: &mut Outcome,
 ) -> Result<BTreeMap<ObjectId, MaskEvidence>> {
     let points = motion::points(run)?;
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, masks, objects, &points)? };
@@ -115,7 +110,7 @@ pub(super) fn find(
         let (mean_share, is_flat) = (on_it.mean_share(run.size()), judged.is_flat);
         sighted.insert(object.id, MaskEvidence { num_frames, mean_share, movement, is_flat });
     }
-    run.workspace.write_state(FINDINGS, &findings)?;
+    run.keep(FINDINGS, &findings, outcome)?;
     Ok(sighted)
 }
 
