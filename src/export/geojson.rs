@@ -12,10 +12,11 @@ use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
 use crate::scene::{GroundTrack, MapPlace, MetricPose, Position};
 
-/// Kind of the features of ground tracks.
+/// Kinds of the features of ground tracks: their ways and places, and the footprints of vehicles at rest.
 const GROUND_TRACK: &str = "ground-track";
+const FOOTPRINT: &str = "footprint";
 
-/// The ways: one feature per vehicle, and one of the camera.
+/// The ways: one feature per vehicle, the footprint of each that is at rest, and one of the camera.
 pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| {
@@ -26,8 +27,12 @@ pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
         let properties = ground_track_properties(results, track);
         way(&results.fixes(&track.positions), results, &clock, properties)
     });
+    let footprints = results.trajectories.ground_tracks.iter().filter_map(|track| footprint(results, track));
     let camera = way(&results.fixes(&results.views), results, &clock, properties(json!({ "kind": "camera" })));
-    Ok(atomic::write_json(path, &collection(results, vehicles.chain(ground_tracks).chain([camera]).collect()))?)
+    Ok(atomic::write_json(
+        path,
+        &collection(results, vehicles.chain(ground_tracks).chain(footprints).chain([camera]).collect()),
+    )?)
 }
 
 /// The places: one feature per vehicle and frame, and per frame of the camera.
@@ -54,6 +59,20 @@ pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> 
 fn vehicle_at(results: &Results, clock: &Clock, who: &Value, fix: &Fix) -> Value {
     let more = [timed(clock, &fix.at), motion(fix.at.metric), deviations(&fix.place)];
     point(results, &fix.place, joined(who.clone(), more))
+}
+
+/// The footprint of a vehicle at rest; `None` where it has none, or lies on the 180th meridian.
+fn footprint(results: &Results, track: &GroundTrack) -> Option<Value> {
+    let corners = track.footprint(results.trajectories.metric.as_ref()?.frame.as_ref()?)?;
+    let places: Vec<MapPlace> = corners.into_iter().filter_map(|corner| results.place(corner)).collect();
+    let first = places.first().filter(|_| places.len() == corners.len())?;
+    let is_whole = places.iter().all(|place| (place.longitude - first.longitude).abs() < 180.0);
+    let ring: Vec<_> = places.iter().chain([first]).map(|place| coordinates(results, place)).collect();
+    let mut properties = ground_track_properties(results, track);
+    properties.insert("kind".into(), FOOTPRINT.into());
+    let geometry = json!({ "type": "Polygon", "coordinates": [ring] });
+    is_whole
+        .then(|| json!({ "type": "Feature", "geometry": geometry, "properties": results.units.properties(properties) }))
 }
 
 fn collection(results: &Results, features: Vec<Value>) -> Value {
@@ -182,6 +201,7 @@ mod tests {
     use super::*;
     use crate::export::testing::{results, with_metres};
     use crate::io::json;
+    use crate::scene::{ContactError, Dimensions, Estimate, GroundPosition, ObjectId};
 
     fn read(write: fn(&Path, &Results) -> Result<(), ExportError>, results: &Results) -> Vec<Value> {
         let folder = tempfile::tempdir().unwrap();
@@ -210,6 +230,50 @@ mod tests {
         assert_eq!(points.len(), count + results.views.len());
         assert_eq!(points[0]["properties"]["speed_m_s"], 8.0);
         assert_eq!(points.last().unwrap()["properties"]["kind"], "camera");
+    }
+
+    #[test]
+    fn vehicles_at_rest_have_footprints() {
+        let mut results = with_metres(results());
+        let pose = &results.trajectories.objects[0].poses[0];
+        let position = GroundPosition {
+            frame: pose.frame,
+            name: pose.name.clone(),
+            time_s: pose.time_s,
+            position: pose.position,
+            error: ContactError::default(),
+            metric: None,
+        };
+        let [length_m, width_m] = [4.0, 2.0].map(|value| Some(Estimate { value, std: 0.1 }));
+        let track = GroundTrack {
+            dimensions: Some(Dimensions { length_m, width_m, height_m: None }),
+            axis_deg: Some(Estimate { value: 90.0, std: 3.0 }),
+            positions: vec![position],
+            ..GroundTrack::new(ObjectId(7), "car", 0.9)
+        };
+        let moving = GroundTrack { axis_deg: None, ..track.clone() };
+        results.trajectories.ground_tracks = vec![track, moving];
+        let features = read(ways, &results);
+        let shapes: Vec<&Value> = features.iter().filter(|found| found["properties"]["kind"] == FOOTPRINT).collect();
+        let [shape] = shapes[..] else { panic!("{shapes:?}") };
+        assert_eq!((&shape["geometry"]["type"], &shape["properties"]["vehicle"]), (&"Polygon".into(), &7.into()));
+        let ring: Vec<[f64; 2]> = shape["geometry"]["coordinates"][0]
+            .as_array()
+            .unwrap()
+            .iter()
+            .map(|place| [0, 1].map(|k| place[k].as_f64().unwrap()))
+            .collect();
+        // It points east: twice as long along the parallel, in meters.
+        let east_m =
+            111_320.0 * results.trajectories.metric.unwrap().frame.unwrap().origin.unwrap().latitude.to_radians().cos();
+        let span = |k: usize, unit: f64| {
+            let all = || ring.iter().map(|place| place[k]);
+            (all().fold(f64::MIN, f64::max) - all().fold(f64::MAX, f64::min)) * unit
+        };
+        assert!((span(0, east_m) - 4.0).abs() < 0.05 && (span(1, 111_320.0) - 2.0).abs() < 0.05, "{ring:?}");
+        assert_eq!((ring.len(), ring[0]), (5, ring[4]), "a closed ring");
+        let area: f64 = ring.windows(2).map(|edge| edge[0][0] * edge[1][1] - edge[1][0] * edge[0][1]).sum();
+        assert!(area > 0.0, "counterclockwise");
     }
 
     #[test]

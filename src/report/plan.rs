@@ -6,8 +6,7 @@ use super::data::{Data, Object};
 use super::metres::{Ruler, frame as metric_frame};
 use super::overlay::{css_colour, object_colour, spread};
 use super::view::{View, quantile};
-use crate::math::median;
-use crate::scene::{Estimate, GroundTrack, MetricAxes, MetricFrame, ObjectId};
+use crate::scene::{GroundTrack, MetricAxes, MetricFrame, ObjectId};
 use nalgebra::{Point3, Vector3};
 
 /// Units of a plan per unit of the view, where the plan shows the whole scene; `page.js` moves markers in them.
@@ -181,16 +180,7 @@ impl<'a> Paper<'a> {
 
     /// Corners of a vehicle at rest, around the median of its positions.
     fn footprint(&self, track: &GroundTrack) -> Option<Vec<[f64; 2]>> {
-        let (frame, size) = (self.frame?, track.dimensions?);
-        let world_from_metric = frame.metric_from_world().inverse();
-        let (sin, cos) = track.axis_deg?.value.to_radians().sin_cos();
-        let half = |size: Option<Estimate>, [x, y]: [f64; 2]| {
-            Some(world_from_metric.rotation * Vector3::new(x, y, 0.0) * (0.5 * size?.value / frame.scale))
-        };
-        let (ahead, aside) = (half(size.length_m, [sin, cos])?, half(size.width_m, [cos, -sin])?);
-        let of = |k: usize| median(track.positions.iter().map(|at| at.position[k]).collect());
-        let middle = Point3::new(of(0)?, of(1)?, of(2)?);
-        let corners = [ahead + aside, ahead - aside, -ahead - aside, aside - ahead].map(|to| self.place(middle + to));
+        let corners = track.footprint(self.frame?)?.map(|corner| self.place(corner));
         corners.iter().all(drawable).then(|| corners.to_vec())
     }
 
@@ -303,7 +293,6 @@ fn tenth(v: f64) -> f64 {
 mod tests {
     use super::*;
     use crate::report::testing;
-    use crate::scene::{ContactError, Dimensions, FrameId, GroundPosition};
 
     #[test]
     fn a_small_path_is_drawn_as_finely_as_a_large_one() {
@@ -324,23 +313,7 @@ mod tests {
 
     #[test]
     fn a_vehicle_at_rest_is_a_rectangle_of_its_size() {
-        let mut world = testing::World::in_metres();
-        let at = world.trajectory.poses[0].clone();
-        let position = |frame| GroundPosition {
-            frame,
-            name: at.name.clone(),
-            time_s: at.time_s,
-            position: at.position,
-            error: ContactError::default(),
-            metric: None,
-        };
-        let [length, width] = [4.0, 2.0].map(|value| Some(Estimate { value, std: 0.1 }));
-        world.ground_track = Some(GroundTrack {
-            dimensions: Some(Dimensions { length_m: length, width_m: width, height_m: None }),
-            axis_deg: Some(Estimate { value: 30.0, std: 3.0 }),
-            positions: [0, 1].map(|frame| position(FrameId(frame))).to_vec(),
-            ..GroundTrack::new(world.trajectory.id, "car", 0.9)
-        });
+        let world = testing::World::with_vehicle_at_rest();
         let data = world.data();
         let view = View::new(&data).unwrap();
         let track = world.ground_track.as_ref().unwrap();

@@ -2,18 +2,18 @@
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
-use nalgebra::Point3;
+use nalgebra::{Point3, UnitQuaternion, Vector3};
 use serde::Serialize;
 
 use super::data::{Data, Object};
-use super::metres::Ruler;
+use super::metres::{self, Ruler};
 use super::motion;
 use super::overlay::{css_colour, object_colour, spread};
 use super::plan::Turn;
 use super::timeline::Timeline;
 use super::view::{RADIUS, View, rounded};
 use crate::math::is_finite;
-use crate::scene::{Frame, FrameId, Image, Point3d, Point3dId, Reconstruction};
+use crate::scene::{Estimate, Frame, FrameId, GroundPosition, GroundTrack, Image, Point3d, Point3dId, Reconstruction};
 
 /// Background points shown: 12 characters each in the page.
 pub(super) const MAX_POINTS: usize = 60_000;
@@ -74,6 +74,10 @@ struct SceneObject {
     degenerate: bool,
     /// True of a ground track, which has no points.
     ground: bool,
+    /// Length, height and width of the box on the ground that a ground track is shown as, along x, y and z of the
+    /// object's frame; absent where length, width or every direction is unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    size: Option<[f64; 3]>,
     total: usize,
     count: usize,
     /// In the object's frame: 32-bit floats, little endian.
@@ -234,6 +238,7 @@ fn scene_object(
         colour: css_colour(object_colour(object.id)),
         degenerate: trajectory.is_ruled_out(),
         ground: false,
+        size: None,
         total: all.len(),
         count: points.len(),
         positions: STANDARD.encode(floats.collect::<Vec<_>>()),
@@ -250,10 +255,13 @@ fn stop(data: &Data, chosen: &[usize], frame: FrameId) -> Option<usize> {
 
 fn ground_track(data: &Data, view: &View, object: &Object, name: &str, chosen: &[usize]) -> Option<SceneObject> {
     let track = object.ground_track?;
-    let poses = track.positions.iter().filter_map(|at| {
+    let (size, turns) = ground_box(data, view, track).unzip();
+    let poses = track.positions.iter().enumerate().filter_map(|(k, at)| {
         let index = stop(data, chosen, at.frame)?;
-        let position = view.point(Point3::from(at.position));
-        let placement = [1.0, 1.0, 0.0, 0.0, 0.0, position[0], position[1], position[2]];
+        let [x, y, z] = view.point(Point3::from(at.position));
+        let position = [x, y, z];
+        let turn = turns.as_ref().map_or(UnitQuaternion::identity(), |turns: &Vec<_>| turns[k]);
+        let placement = [1.0, turn.w, turn.i, turn.j, turn.k, x, y, z];
         let usable = position.iter().all(|v| v.is_finite());
         usable.then(|| (index, position, placement, motion::tooltip(data, at.metric.as_ref())))
     });
@@ -263,14 +271,33 @@ fn ground_track(data: &Data, view: &View, object: &Object, name: &str, chosen: &
         colour: css_colour(object_colour(object.id)),
         ground: true,
         poses: poses.collect(),
+        size,
         ..SceneObject::default()
     })
 }
 
+/// Length, height and width of the box that a ground track is shown as, and its rotation at each position: by its
+/// heading, where it is known, of a position before or after, or by its axis.
+fn ground_box(data: &Data, view: &View, track: &GroundTrack) -> Option<([f64; 3], Vec<UnitQuaternion<f64>>)> {
+    let (frame, size) = (data.metric.and_then(metres::frame)?, track.dimensions?);
+    let in_view = |size: Estimate| size.value / frame.scale * view.view_from_world.scale;
+    let heading = |at: &GroundPosition| at.metric.as_ref()?.motion.as_ref()?.heading_deg;
+    let axis = track.axis_deg.map(|axis| axis.value);
+    let mut current = axis.or_else(|| track.positions.iter().find_map(heading))?;
+    let turn = |at: &GroundPosition| {
+        current = axis.or_else(|| heading(at)).unwrap_or(current);
+        let (sin, cos) = current.to_radians().sin_cos();
+        let world_from_metric = frame.metric_from_world().rotation.inverse();
+        let ahead = view.view_from_world.rotation * (world_from_metric * Vector3::new(sin, cos, 0.0));
+        UnitQuaternion::from_axis_angle(&Vector3::y_axis(), f64::atan2(-ahead.z, ahead.x))
+    };
+    let turns = track.positions.iter().map(turn).collect();
+    let height = size.height_m.map_or(0.0, in_view);
+    Some(([in_view(size.length_m?), height, in_view(size.width_m?)].map(rounded), turns))
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::Vector3;
-
     use super::*;
     use crate::report::testing;
     use crate::report::view::MAX_REACH;
@@ -301,6 +328,24 @@ mod tests {
         let forward: Vector3<f64> =
             world.background.images.values().map(|i| i.cam_from_world.rotation.inverse() * Vector3::z()).sum();
         assert!((after.view_from_world.rotation * forward).z < 0.0, "cameras look away from the viewer");
+    }
+
+    #[test]
+    fn a_vehicle_at_rest_is_a_box_along_its_axis() {
+        let world = testing::World::with_vehicle_at_rest();
+        let (data, track) = (world.data(), world.ground_track.as_ref().unwrap());
+        let view = View::new(&data).unwrap();
+        let ([length, height, width], turns) = ground_box(&data, &view, track).unwrap();
+        assert!((length / width - 2.0).abs() < 0.01 && height == 0.0 && turns.len() == track.positions.len());
+        // From the middle of the rear to that of the front.
+        let corners = track.footprint(data.metric.unwrap().frame.as_ref().unwrap()).unwrap().map(|c| view.point(c));
+        let ahead = Vector3::from(corners[0]) + Vector3::from(corners[1])
+            - Vector3::from(corners[2])
+            - Vector3::from(corners[3]);
+        let shown = turns[0] * Vector3::x() * length;
+        assert!((ahead / 2.0 - shown).norm() < 0.05 * length, "{ahead} {shown}");
+        let unknown = GroundTrack { axis_deg: None, ..track.clone() };
+        assert!(ground_box(&data, &view, &unknown).is_none());
     }
 
     #[test]

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 
 use super::{Data, Model, Object, Pictures, Stage, Thumbnail};
 use crate::eval::Evaluation;
-use crate::scene::{Frame, FrameId, Ground, GroundTrack, Metric, ObjectId, ObjectTrajectory, Reconstruction, TimeBase};
+use crate::scene::{
+    ContactError, Dimensions, Estimate, Frame, FrameId, Ground, GroundPosition, GroundTrack, Metric, ObjectId,
+    ObjectTrajectory, Reconstruction, TimeBase,
+};
 pub(super) use crate::synthetic::showcase::UP;
 use crate::synthetic::showcase::{CAR, showcase};
 
@@ -49,6 +52,29 @@ impl World {
     /// The same where metres are known.
     pub fn in_metres() -> Self {
         Self { metric: Some(showcase(60, 1).metric), ..world() }
+    }
+
+    /// The same with a ground track of a vehicle at rest, 4 m long and 2 m wide, that points 30° to the right of the
+    /// frame's second axis.
+    pub fn with_vehicle_at_rest() -> Self {
+        let mut world = Self::in_metres();
+        let at = world.trajectory.poses[0].clone();
+        let position = |frame| GroundPosition {
+            frame,
+            name: at.name.clone(),
+            time_s: at.time_s,
+            position: at.position,
+            error: ContactError::default(),
+            metric: None,
+        };
+        let [length, width] = [4.0, 2.0].map(|value| Some(Estimate { value, std: 0.1 }));
+        world.ground_track = Some(GroundTrack {
+            dimensions: Some(Dimensions { length_m: length, width_m: width, height_m: None }),
+            axis_deg: Some(Estimate { value: 30.0, std: 3.0 }),
+            positions: [0, 1].map(|frame| position(FrameId(frame))).to_vec(),
+            ..GroundTrack::new(world.trajectory.id, "car", 0.9)
+        });
+        world
     }
 
     pub fn data(&self) -> Data<'_> {

@@ -3,13 +3,13 @@
 
 use std::collections::BTreeMap;
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, Point3, Vector3};
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-use super::{Dimensions, Estimate, FrameId, MetricPose, ObjectId, PlaneBasis, Travel};
-use crate::math::Sim3;
+use super::{Dimensions, Estimate, FrameId, MetricFrame, MetricPose, ObjectId, PlaneBasis, Travel};
 use crate::math::rounding::counted;
+use crate::math::{Sim3, median};
 
 /// Method of a ground track; the name is that of the contract.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
@@ -204,6 +204,21 @@ impl GroundTrack {
             travel: None,
             positions: Vec::new(),
         }
+    }
+
+    /// Corners of a vehicle at rest around the median of its positions, in the background's frame, counterclockwise seen
+    /// from above; `None` without length, width and axis.
+    pub fn footprint(&self, frame: &MetricFrame) -> Option<[Point3<f64>; 4]> {
+        let Dimensions { length_m, width_m, .. } = self.dimensions?;
+        let (sin, cos) = self.axis_deg?.value.to_radians().sin_cos();
+        let world_from_metric = frame.metric_from_world().inverse();
+        let half = |size: Option<Estimate>, [x, y]: [f64; 2]| {
+            Some(world_from_metric.rotation * Vector3::new(x, y, 0.0) * (0.5 * size?.value / frame.scale))
+        };
+        let (ahead, aside) = (half(length_m, [sin, cos])?, half(width_m, [cos, -sin])?);
+        let of = |k: usize| median(self.positions.iter().map(|at| at.position[k]).collect());
+        let middle = Point3::new(of(0)?, of(1)?, of(2)?);
+        Some([ahead + aside, ahead - aside, -ahead - aside, aside - ahead].map(|to| middle + to))
     }
 
     /// Name of the track: class and id.

@@ -215,6 +215,7 @@ class SceneView {
 		const tints = new Uint8Array(object.count * 4);
 		for (let k = 0; k < object.count; k++) tints.set(rgb.subarray(3 * k, 3 * k + 3), 4 * k);
 		if (object.count) this.cloud(floats, tints, { size: 0.06, own: object.colour, ownShare: 0.55, parent: body });
+		if (object.size) body.add(this.line(this.box(object.size), { colour: object.colour, width: 2.2 }));
 		body.matrixAutoUpdate = false;
 		group.add(body);
 		const marker = this.cloud(new Float32Array(3), new Uint8Array(4), { size: 0.2, own: object.colour, ownShare: 1, parent: group });
@@ -223,6 +224,13 @@ class SceneView {
 		if (object.poses.length) this.addArrow(group, object.poses.map(([, at]) => at), this.pathStyle(object));
 		this.scene.add(group);
 		return { group, body, marker, poses: new Map(object.poses.map(([i, at, placement]) => [i, { at, placement }])) };
+	}
+
+	/** The edges of a box on the ground around the origin, as segments. */
+	box([length, height, width]) {
+		const corners = [[1, 1], [1, -1], [-1, -1], [-1, 1]].map(([x, z]) => [x * length / 2, z * width / 2]);
+		const at = (k, y) => [corners[k % 4][0], y, corners[k % 4][1]];
+		return [0, 1, 2, 3].flatMap((k) => [...at(k, 0), ...at(k + 1, 0), ...at(k, height), ...at(k + 1, height), ...at(k, 0), ...at(k, height)]);
 	}
 
 	/** Solid; dashed if rejected; dotted for a ground track. */

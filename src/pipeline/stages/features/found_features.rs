@@ -38,9 +38,12 @@ fn features(table: TrackTable) -> Features {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use nalgebra::Point2;
 
     use super::*;
+    use crate::pipeline::Cost;
     use crate::scene::ImageId;
 
     #[test]
@@ -49,6 +52,14 @@ mod tests {
         assert!(found_features(folder.path()).unwrap().is_none());
         let state = folder.path().join(".tractrix/features-0123");
         std::fs::create_dir_all(&state).unwrap();
+        let marker = Marker {
+            fingerprint: "0123".to_owned(),
+            cost: Cost::default(),
+            warnings: Vec::new(),
+            figures: BTreeMap::new(),
+            outputs: vec![".tractrix/features-0123".into()],
+        };
+        crate::io::atomic::write_json(&folder.path().join(".tractrix/features.json"), &marker).unwrap();
         assert!(found_features(folder.path()).unwrap().is_none());
         let view = |k: u32| tracks::View {
             image: ImageId(k),
