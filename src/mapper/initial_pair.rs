@@ -18,10 +18,6 @@ pub struct InitialPair {
     pub views: [usize; 2],
     /// Second camera from first, unit baseline.
     pub cam2_from_cam1: Rigid3,
-    /// Median angle at the common points, radians.
-    pub median_angle: f64,
-    /// See [`TwoViewGeometry::homography_ratio`].
-    pub homography_ratio: f64,
 }
 
 /// So many views are tried as partners; of longer sequences they are chosen evenly.
@@ -52,12 +48,7 @@ pub fn ranked(
             let of_views = views.map(|view| table.views[view].camera);
             let intrinsics = known.of_pair(of_views);
             let score = score(&geometry, options) * worth_of_cameras(of_views, intrinsics);
-            let pair = InitialPair {
-                views,
-                cam2_from_cam1: geometry.cam2_from_cam1,
-                median_angle: geometry.median_angle,
-                homography_ratio: geometry.homography_ratio,
-            };
+            let pair = InitialPair { views, cam2_from_cam1: geometry.cam2_from_cam1 };
             let motion = motion::of_pair(&geometry, intrinsics);
             survey.add(motion);
             let usable = motion == PairMotion::Other
@@ -212,8 +203,7 @@ mod tests {
 
     #[test]
     fn the_next_start_lies_elsewhere() {
-        let pair =
-            |views| InitialPair { views, cam2_from_cam1: Rigid3::identity(), median_angle: 0.2, homography_ratio: 0.1 };
+        let pair = |views| InitialPair { views, cam2_from_cam1: Rigid3::identity() };
         let best_first = [[10, 20], [12, 22], [10, 30], [40, 50], [41, 49]];
         let order = far_from_one_another(best_first.map(pair).to_vec(), 60);
         assert_eq!(

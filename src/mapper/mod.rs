@@ -333,7 +333,6 @@ fn found(
         let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
         return Ok((None, report));
     };
-    let (map, mut report) = mapper.into_result();
-    report.num_starts = starts.tried;
+    let (map, report) = mapper.into_result();
     Ok((Some(map.into_found()), report))
 }

@@ -12,7 +12,6 @@
 use std::fmt;
 
 use nalgebra::{Matrix3, Vector3};
-use serde::{Deserialize, Serialize};
 
 use super::Intrinsics;
 use super::map::Map;
@@ -96,8 +95,7 @@ impl Survey {
 }
 
 /// Weakness of a map.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", tag = "kind")]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub enum ModelWeakness {
     /// All points lie near one plane.
     PlanarScene {

@@ -2,15 +2,12 @@
 
 use std::fmt;
 
-use serde::{Deserialize, Serialize};
-
 use super::motion::{ModelWeakness, Survey};
 use crate::features::tracks::{TrackTable, View};
 use crate::scene::ImageId;
 
 /// Why a view is not part of the map.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case", tag = "kind")]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reason {
     /// The target is not seen, or nothing on it could be determined from its surroundings.
     NoFeatures,
@@ -65,7 +62,7 @@ impl fmt::Display for Reason {
 }
 
 /// Outcome of one view.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcome {
     /// The image.
     pub image: ImageId,
@@ -76,34 +73,23 @@ pub struct Outcome {
 }
 
 /// Summary of a reconstruction.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct Report {
     /// Every view, in the order of the table.
     pub views: Vec<Outcome>,
-    /// Names of the pair that started the map.
-    pub initial_pair: Option<[String; 2]>,
-    /// Median angle of that pair, degrees.
-    pub initial_angle_deg: f64,
-    /// Inliers of one homography over inliers of the epipolar geometry, for that pair: near one for a plane.
-    pub initial_homography_ratio: f64,
-    /// Starts that were tried.
-    pub num_starts: usize,
     /// Points of the map.
     pub num_points: usize,
     /// Their observations.
     pub num_observations: usize,
     /// Points that the last adjustments left behind a camera that observes them, or at infinity: they are not part of
     /// the map.
-    #[serde(default)]
     pub num_infinite_points: usize,
     /// Mean reprojection error, pixels.
     pub mean_error_px: Option<f64>,
     /// By camera: standard deviation of the focal length as a share of it, with what is known of lenses beforehand;
     /// `None` where it was held, or no registered view is of this camera, or many cameras have more views.
-    #[serde(default)]
     pub focal_deviations: Vec<Option<f64>>,
     /// Weaknesses of the map, in the motion and in the scene.
-    #[serde(default)]
     pub remarks: Vec<ModelWeakness>,
     /// Why nothing was reconstructed, where nothing was.
     pub failure: Option<String>,
@@ -149,6 +135,6 @@ impl Report {
         };
         let reason =
             |view: usize| Some(if table.views[view].pixels.is_empty() { Reason::NoFeatures } else { Reason::NoStart });
-        Self { views: Self::of_views(&table.views, reason), num_starts, failure: Some(failure), ..Self::default() }
+        Self { views: Self::of_views(&table.views, reason), failure: Some(failure), ..Self::default() }
     }
 }

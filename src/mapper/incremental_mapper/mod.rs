@@ -33,7 +33,6 @@ pub struct IncrementalMapper<'a> {
     freedom: Freedom,
     /// True once the motion has decided that.
     lens_decided: bool,
-    pair: Option<InitialPair>,
     /// By view: known points seen and inliers at the last failed try.
     failed: Vec<Option<Attempt>>,
     /// By camera: standard deviation of ln f, where it is not held and was asked for.
@@ -71,7 +70,6 @@ impl<'a> IncrementalMapper<'a> {
             noise: Noise::Unknown,
             lens_decided: false,
             reviewed: false,
-            pair: None,
             failed,
             refused,
             adjusted_at: 0,
@@ -84,7 +82,6 @@ impl<'a> IncrementalMapper<'a> {
     pub fn start(&mut self, pair: &InitialPair) -> Result<bool, MapperError> {
         self.map.poses[pair.views[0]] = Some(Rigid3::identity());
         self.map.poses[pair.views[1]] = Some(pair.cam2_from_cam1);
-        self.pair = Some(pair.clone());
         let limits = self.limits();
         self.map.triangulate_seen_by(pair.views[0], &limits);
         // Two views do not determine intrinsics: they stay as they are here.
@@ -135,13 +132,8 @@ impl<'a> IncrementalMapper<'a> {
     pub fn into_result(self) -> (Map<'a>, Report) {
         let failure = |view: usize| self.map.poses[view].is_none().then(|| self.reason(view));
         let views = Report::of_views(self.map.table.views, failure);
-        let names = |pair: &InitialPair| pair.views.map(|v| self.map.table.views[v].name.clone());
         let report = Report {
             views,
-            initial_pair: self.pair.as_ref().map(names),
-            initial_angle_deg: self.pair.as_ref().map_or(0.0, |p| p.median_angle.to_degrees()),
-            initial_homography_ratio: self.pair.as_ref().map_or(0.0, |p| p.homography_ratio),
-            num_starts: 1,
             num_points: self.map.num_points(),
             num_observations: self.map.num_observations(),
             num_infinite_points: self.num_infinite,
