@@ -1,10 +1,9 @@
 //! Start of a map: pose priors, or one pair of views after the other.
 
 use super::incremental_mapper::{IncrementalMapper, PosePriors};
-use super::initial_pair::{self, InitialPair};
+use super::initial_pair;
 use super::map::Map;
-use super::motion::Survey;
-use super::{KnownIntrinsics, Options};
+use super::{KnownIntrinsics, Options, Report};
 use crate::camera::Camera;
 use crate::features::tracks::TrackTable;
 use crate::mapper::MapperError;
@@ -20,31 +19,57 @@ pub struct InitializationAttempt<'a> {
     pub poses: Option<&'a PosePriors>,
 }
 
-/// Outcomes of the initial pairs.
-#[derive(Default)]
-pub struct Initializations<'a> {
-    /// The map that explains the most observations.
-    pub best: Option<IncrementalMapper<'a>>,
-    pub pairs: Vec<InitialPair>,
-    pub tried: usize,
-    pub survey: Survey,
-}
-
 /// Share of the views that a good map has.
 const GOOD_SHARE: f64 = 0.95;
 
 impl<'a> InitializationAttempt<'a> {
     /// Grows a map from the pose priors; without these, or where their points do not hold, from one pair after the
-    /// other, until a map has nearly all views.
-    pub fn grow_from_starts(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Initializations<'a>, MapperError> {
-        let from_priors = match self.poses {
-            Some(poses) => self.grow_from_priors(poses, seed, watch)?,
-            None => None,
-        };
-        match from_priors {
-            Some(mapper) => Ok(Initializations { best: Some(mapper), tried: 1, ..Initializations::default() }),
-            None => self.grow_from_pairs(seed, watch),
+    /// other, until a map has nearly all views, and returns the map that explains the most observations. The report
+    /// gives the reason where there is none.
+    pub fn grow(
+        &self,
+        seed: u64,
+        watch: &mut dyn FnMut(f64),
+    ) -> Result<Result<IncrementalMapper<'a>, Report>, MapperError> {
+        if let Some(poses) = self.poses {
+            let mut mapper = self.mapper(seed);
+            if mapper.start_from(poses)? {
+                self.finish(&mut mapper, 0.0, watch)?;
+                tracing::debug!("from pose priors: {} views", mapper.num_registered());
+                return Ok(Ok(mapper));
+            }
         }
+        self.grow_from_pairs(seed, watch)
+    }
+
+    fn grow_from_pairs(
+        &self,
+        seed: u64,
+        watch: &mut dyn FnMut(f64),
+    ) -> Result<Result<IncrementalMapper<'a>, Report>, MapperError> {
+        let Self { table, cameras, known, options, .. } = *self;
+        let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
+        let num_pairs = pairs.len();
+        let mut best: Option<(f64, IncrementalMapper)> = None;
+        let mut tried = 0;
+        let apart = initial_pair::far_from_one_another(pairs, table.views.len());
+        for pair in apart.iter().take(options.max_starts) {
+            let mut mapper = self.mapper(seed);
+            if mapper.start(pair)? {
+                self.finish(&mut mapper, tried as f64, watch)?;
+                let explained = mapper.num_explained();
+                tracing::debug!("attempt {}: {} views, {explained:.0}", tried + 1, mapper.num_registered());
+                if best.as_ref().is_none_or(|(most, _)| explained > *most) {
+                    best = Some((explained, mapper));
+                }
+            }
+            tried += 1;
+            watch(1.0);
+            if best.as_ref().is_some_and(|(_, mapper)| self.is_good(mapper)) {
+                break;
+            }
+        }
+        Ok(best.map(|(_, mapper)| mapper).ok_or_else(|| Report::without_start(table, num_pairs, tried, &survey)))
     }
 
     /// Returns true if a map has nearly all views.
@@ -53,52 +78,7 @@ impl<'a> InitializationAttempt<'a> {
     }
 
     fn mapper(&self, seed: u64) -> IncrementalMapper<'a> {
-        let map = Map::new(self.table, self.cameras).knowing(self.known.clone());
-        IncrementalMapper::new(map, self.options, seed)
-    }
-
-    /// The map that grows from poses; `None` where no points hold.
-    fn grow_from_priors(
-        &self,
-        poses: &PosePriors,
-        seed: u64,
-        watch: &mut dyn FnMut(f64),
-    ) -> Result<Option<IncrementalMapper<'a>>, MapperError> {
-        let mut mapper = self.mapper(seed);
-        if !mapper.start_from(poses)? {
-            return Ok(None);
-        }
-        self.finish(&mut mapper, 0.0, watch)?;
-        tracing::debug!("from pose priors: {} views", mapper.num_registered());
-        Ok(Some(mapper))
-    }
-
-    fn grow_from_pairs(&self, seed: u64, watch: &mut dyn FnMut(f64)) -> Result<Initializations<'a>, MapperError> {
-        let Self { table, cameras, known, options, .. } = *self;
-        let (pairs, survey) = initial_pair::ranked(table, cameras, known, options, seed);
-        let mut found = Initializations { survey, ..Initializations::default() };
-        let mut most = f64::NEG_INFINITY;
-        let apart = initial_pair::far_from_one_another(pairs.clone(), table.views.len());
-        for pair in apart.iter().take(options.max_starts) {
-            let before = found.tried as f64;
-            found.tried += 1;
-            let mut mapper = self.mapper(seed);
-            if mapper.start(pair)? {
-                self.finish(&mut mapper, before, watch)?;
-                let explained = mapper.num_explained();
-                tracing::debug!("attempt {}: {} views, {explained:.0}", found.tried, mapper.num_registered());
-                if explained > most {
-                    most = explained;
-                    found.best = Some(mapper);
-                }
-            }
-            watch((before + 1.0) / found.tried as f64);
-            if found.best.as_ref().is_some_and(|mapper| self.is_good(mapper)) {
-                break;
-            }
-        }
-        found.pairs = pairs;
-        Ok(found)
+        IncrementalMapper::new(Map::new(self.table, self.cameras, self.known.clone()), self.options, seed)
     }
 
     /// Grows a map to its end, after `before` other attempts.

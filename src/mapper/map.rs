@@ -9,7 +9,7 @@ use std::ops::Range;
 
 use nalgebra::{Point2, Point3};
 
-use super::{Intrinsics, KnownIntrinsics, Noise};
+use super::{KnownIntrinsics, Noise};
 use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::features::tracks::{self, Feature, Track, TrackTable};
@@ -99,13 +99,13 @@ pub struct Map<'a> {
 }
 
 impl<'a> Map<'a> {
-    /// Nothing known yet.
-    pub fn new(table: &'a TrackTable, cameras: &[Camera]) -> Self {
+    /// Nothing but the prior knowledge of the intrinsics.
+    pub fn new(table: &'a TrackTable, cameras: &[Camera], known: KnownIntrinsics) -> Self {
         let table = Table::of(table);
         Self {
             cameras: cameras.to_vec(),
             guess: cameras.to_vec(),
-            known: Intrinsics::GUESSED.into(),
+            known,
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
@@ -113,11 +113,6 @@ impl<'a> Map<'a> {
             comes_back: false,
             table,
         }
-    }
-
-    /// The same with intrinsics that are so well known at the start.
-    pub fn knowing(self, known: KnownIntrinsics) -> Self {
-        Self { known, ..self }
     }
 
     /// The cameras whose intrinsics are adjusted, ascending.

@@ -275,7 +275,18 @@ pub fn reconstruct_watched(
     poses: Option<&PosePriors>,
     watch: &mut dyn FnMut(f64),
 ) -> Result<(Reconstruction, Report), MapperError> {
-    let (found, report) = found(&table, cameras, intrinsics.into(), options, seed, poses, watch)?;
+    options.check()?;
+    let known: &KnownIntrinsics = &intrinsics.into();
+    let options = &options.at_focal(cameras);
+    let poses = poses.filter(|_| options.pose_priors);
+    let attempt = InitializationAttempt { table: &table, cameras, known, options, poses };
+    let (found, report) = match attempt.grow(seed, watch)? {
+        Ok(mapper) => {
+            let (map, report) = mapper.into_result();
+            (Some(map.into_found()), report)
+        }
+        Err(report) => (None, report),
+    };
     let TrackTable { views, tracks } = table;
     drop(tracks);
     Ok(with_views(found, report, views.into_iter()))
@@ -297,7 +308,7 @@ pub fn triangulate(
 ) -> Result<(Reconstruction, Report, f64), MapperError> {
     options.check()?;
     let options = &options.at_focal(cameras);
-    let map = Map::new(table, cameras).knowing(Intrinsics::FIXED.into());
+    let map = Map::new(table, cameras, Intrinsics::FIXED.into());
     let mut mapper = IncrementalMapper::new(map, options, 0);
     let explained = mapper.triangulate_from(poses)?;
     let (map, report) = mapper.into_result();
@@ -313,26 +324,4 @@ fn with_views(
     let reconstruction = found.map(|found| found.with_views(views)).unwrap_or_default();
     report.mean_error_px = reconstruction.mean_reprojection_error_px();
     (reconstruction, report)
-}
-
-fn found(
-    table: &TrackTable,
-    cameras: &[Camera],
-    known: KnownIntrinsics,
-    options: &Options,
-    seed: u64,
-    poses: Option<&PosePriors>,
-    watch: &mut dyn FnMut(f64),
-) -> Result<(Option<MapPoints>, Report), MapperError> {
-    options.check()?;
-    let options = &options.at_focal(cameras);
-    let poses = poses.filter(|_| options.pose_priors);
-    let attempt = InitializationAttempt { table, cameras, known: &known, options, poses };
-    let starts = attempt.grow_from_starts(seed, watch)?;
-    let Some(mapper) = starts.best else {
-        let report = Report::without_start(table, starts.pairs.len(), starts.tried, &starts.survey);
-        return Ok((None, report));
-    };
-    let (map, report) = mapper.into_result();
-    Ok((Some(map.into_found()), report))
 }

@@ -255,6 +255,7 @@ mod tests {
     use super::*;
     use crate::features::tracks::{Feature, TrackTable, View};
     use crate::geometry::triangulation::Limits;
+    use crate::mapper::Intrinsics;
     use crate::scene::ImageId;
 
     /// Views in a row that all see five points.
@@ -284,7 +285,7 @@ mod tests {
         };
         let poses: Vec<Rigid3> = (0..6).map(at).collect();
         let table = table(&camera, &poses);
-        let mut map = Map::new(&table, &[camera]);
+        let mut map = Map::new(&table, &[camera], Intrinsics::GUESSED.into());
         poses.iter().enumerate().for_each(|(view, pose)| map.poses[view] = Some(*pose));
         assert_eq!(map.triangulate_all(&Limits { max_error_px: 1.0, min_angle: 0.001 }), 5);
         let carrier = Carrier::new(&map, 3).unwrap();
@@ -315,7 +316,7 @@ mod tests {
         let camera = Camera::with_focal(960, 540, 800.0);
         let poses = vec![Rigid3::identity(); 1100];
         let table = table(&camera, &poses);
-        let mut map = Map::new(&table, &[camera]);
+        let mut map = Map::new(&table, &[camera], Intrinsics::GUESSED.into());
         (0..1100).filter(|view| view % 10 != 3).for_each(|view| map.poses[view] = Some(poses[view]));
         let stretches = apart(&map, &Options::background());
         assert_eq!(stretches.len(), 2);

@@ -143,7 +143,7 @@ fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
             options: &options,
             poses: None,
         };
-        let growth = task.grow_from_starts(1, &mut |_| {}).unwrap().best.unwrap();
+        let growth = task.grow(1, &mut |_| {}).unwrap().unwrap();
         let Noise::Measured { sigma_px } = growth.map().noise() else { panic!("a map has a noise") };
         let here = focal_deviation_here(growth.map(), 0, sigma_px, &options).unwrap();
         let adjusted =
