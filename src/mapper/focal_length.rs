@@ -178,7 +178,7 @@ impl<'a> Probe<'a> {
             true => windows::apart(map, options).into_iter().map(in_time).collect(),
             false => vec![(Scope::Selected { per_view: options.growth_points_per_view }, [0.0, 1.0])],
         };
-        Self { parts, noise: Noise::Measured { sigma_px }, options }
+        Self { parts, noise: Some(sigma_px), options }
     }
 
     /// All parts after adjustment, each from what `change` makes of it.

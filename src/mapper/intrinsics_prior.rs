@@ -9,10 +9,7 @@ use crate::camera::Camera;
 pub(super) fn prior(camera_idx: usize, map: &Map<'_>, noise: Noise) -> IntrinsicsPrior {
     // Observations count with a standard deviation of one pixel, so that those of the prior are in units of their true
     // one.
-    let unit_px = match noise {
-        Noise::Measured { sigma_px } if sigma_px > 0.0 => COMMON_ERROR_FACTOR * sigma_px,
-        _ => 1.0,
-    };
+    let unit_px = noise.filter(|sigma_px| *sigma_px > 0.0).map_or(1.0, |sigma_px| COMMON_ERROR_FACTOR * sigma_px);
     let prior = about(&map.guess[camera_idx], map.known.of(camera_idx), &map.cameras[camera_idx], unit_px);
     IntrinsicsPrior { camera: camera_idx, ..prior }
 }

@@ -382,7 +382,7 @@ impl<'a> Map<'a> {
                     .filter_map(move |(slot, _, _)| Some(self.view_at(track, slot)?.error_sq(position).sqrt()))
             })
             .collect();
-        upper_median(errors).map_or(Noise::Unknown, |median| Noise::Measured { sigma_px: median / RAYLEIGH_MEDIAN })
+        upper_median(errors).map(|median| median / RAYLEIGH_MEDIAN)
     }
 
     /// Result of the reconstruction, without the views.

@@ -200,40 +200,26 @@ impl Options {
 
     /// Limits of inlier observations at a noise.
     fn limits(&self, noise: Noise) -> Limits {
-        let max_error_px = match noise {
-            Noise::Measured { sigma_px } if self.ordered => {
-                (self.max_error_sigmas * sigma_px).clamp(self.min_error_px, self.max_error_px)
-            }
-            Noise::Measured { .. } | Noise::Unknown => self.max_error_px,
-        };
+        let of_noise = |sigma_px: f64| (self.max_error_sigmas * sigma_px).clamp(self.min_error_px, self.max_error_px);
+        let max_error_px = noise.filter(|_| self.ordered).map_or(self.max_error_px, of_noise);
         Limits { max_error_px, min_angle: self.min_angle_deg.to_radians() }
     }
 
     /// The loss of bundle adjustment at a noise.
     fn loss(&self, noise: Noise) -> RobustLoss {
-        let scale = match noise {
-            Noise::Unknown => self.loss_scale_px,
-            Noise::Measured { sigma_px } => (self.loss_sigmas * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px),
-        };
+        let of_noise = |sigma_px: f64| (self.loss_sigmas * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px);
+        let scale = noise.map_or(self.loss_scale_px, of_noise);
         RobustLoss::SoftL1 { scale }
     }
 }
 
-/// Noise of observations: residuals of the points' projections.
+/// Noise of observations: robust standard deviation of a coordinate of the residuals, pixels; where positions carry a
+/// covariance, of a good corner (a whitening of one). `None` while nothing is adjusted yet.
 ///
 /// Features of different front ends, videos and objects differ tenfold in it, and a loss or a threshold that is wide
 /// for the data lets systematic errors in: on the shared rendered sequence measured limits took the camera error of the
 /// background from 2.8 to 0.5 mm.
-#[derive(Clone, Copy, Debug, PartialEq)]
-enum Noise {
-    /// Nothing adjusted yet.
-    Unknown,
-    /// Robust standard deviation of a coordinate.
-    Measured {
-        /// Pixels; where positions carry a covariance, of a good corner (a whitening of one).
-        sigma_px: f64,
-    },
-}
+type Noise = Option<f64>;
 
 /// Builds the map that explains the tracks best.
 ///

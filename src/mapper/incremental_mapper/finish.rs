@@ -5,7 +5,7 @@ use super::{Attempt, IncrementalMapper, LOOSE};
 use crate::geometry::resection::{self, Resection};
 use crate::mapper::adjustment::{Freedom, Scope};
 use crate::mapper::map::Slot;
-use crate::mapper::{MapperError, Noise, focal_length};
+use crate::mapper::{MapperError, focal_length};
 use crate::math::{Rigid3, seeded_rng};
 
 impl IncrementalMapper<'_> {
@@ -27,7 +27,7 @@ impl IncrementalMapper<'_> {
 
     /// Estimates the standard deviation of the focal length of the final map.
     fn judge_focal_length(&mut self) -> Result<(), MapperError> {
-        let Noise::Measured { sigma_px } = self.map.noise() else { return Ok(()) };
+        let Some(sigma_px) = self.map.noise() else { return Ok(()) };
         for camera in focal_length::asked_cameras(&self.map) {
             // A principal point that is held and off shifts the focal length.
             let freedom = match self.freedom {
@@ -44,7 +44,7 @@ impl IncrementalMapper<'_> {
     /// Adjusts everything on all points, until observations stop changing; then again on those that are left, so
     /// that cameras and points lie at the minimum of exactly what is kept.
     fn adjust_until_settled(&mut self) -> Result<(), MapperError> {
-        self.noise = Noise::Unknown;
+        self.noise = None;
         self.decide_lens()?;
         // A bound where observations keep changing.
         for _ in 0..3 {
@@ -85,7 +85,7 @@ impl IncrementalMapper<'_> {
     /// of distortion and the principal point would take up what the model of the camera leaves out (the shutter that
     /// rolls down the picture), and bend the map: they go back to the guess.
     fn final_freedom(&mut self, unknown: &[usize]) -> Result<Freedom, MapperError> {
-        let Noise::Measured { sigma_px } = self.noise else { return Ok(Freedom::at_first(&self.map)) };
+        let Some(sigma_px) = self.noise else { return Ok(Freedom::at_first(&self.map)) };
         let deviation = match *unknown {
             [camera] => focal_length::focal_deviation_here(&self.map, camera, sigma_px, self.options)?,
             _ => {
@@ -103,7 +103,7 @@ impl IncrementalMapper<'_> {
         tracing::debug!("gain of the first distortion coefficient: {gain:.1}");
         unknown.iter().for_each(|&camera| self.map.cameras[camera].radial = self.map.guess[camera].radial);
         // The noise was that of another lens.
-        self.noise = Noise::Unknown;
+        self.noise = None;
         // Three standard deviations.
         Ok(if gain > 9.0 { Freedom::FocalAndFirstRadial } else { Freedom::Focal })
     }
@@ -142,7 +142,7 @@ impl IncrementalMapper<'_> {
     /// Takes out some views; the points that they took part in are triangulated again from the others.
     pub(super) fn take_out(&mut self, views: &[usize]) {
         self.reviewed = true;
-        self.noise = Noise::Unknown;
+        self.noise = None;
         views.iter().for_each(|&view| self.map.unregister(view));
         let untouched: Vec<bool> =
             self.map.table.tracks.iter().map(|t| t.iter().all(|f| !views.contains(&(f.view as usize)))).collect();
@@ -153,11 +153,9 @@ impl IncrementalMapper<'_> {
     /// time, and need less.
     fn thresholds_of_pairs(&self) -> Thresholds {
         let max_error_px = self.options.max_pose_error_px;
-        let fine_px = match self.map.noise() {
-            // Four σ and at least half a pixel: a two-view geometry has an error of its own, besides the noise.
-            Noise::Measured { sigma_px } if !self.options.ordered => Some((4.0 * sigma_px).max(0.5).min(max_error_px)),
-            Noise::Measured { .. } | Noise::Unknown => None,
-        };
+        // Four σ and at least half a pixel: a two-view geometry has an error of its own, besides the noise.
+        let of_noise = |sigma_px: f64| (4.0 * sigma_px).max(0.5).min(max_error_px);
+        let fine_px = self.map.noise().filter(|_| !self.options.ordered).map(of_noise);
         Thresholds { max_error_px, fine_px }
     }
 

@@ -2,8 +2,8 @@
 
 use super::IncrementalMapper;
 use crate::geometry::triangulation::Limits;
+use crate::mapper::MapperError;
 use crate::mapper::adjustment::{self, Freedom, Scope};
-use crate::mapper::{MapperError, Noise};
 use crate::math::Rigid3;
 
 impl IncrementalMapper<'_> {
@@ -14,7 +14,7 @@ impl IncrementalMapper<'_> {
     /// Returns the share of the observations in registered views that the points explain.
     pub fn triangulate_from(&mut self, poses: &[Option<Rigid3>]) -> Result<f64, MapperError> {
         self.map.poses.copy_from_slice(poses);
-        self.noise = Noise::Unknown;
+        self.noise = None;
         // With the limits of an unknown noise, then with those of the noise that was found.
         for _ in 0..2 {
             let limits = self.limits_of_held();

@@ -6,8 +6,8 @@
 //! like any observation.
 
 use super::IncrementalMapper;
+use crate::mapper::MapperError;
 use crate::mapper::adjustment::Scope;
-use crate::mapper::{MapperError, Noise};
 
 /// Distance of a joint's ends, as a share of the picture's longer side: what lies farther apart is another place.
 const WIDEST: f64 = 0.1;
@@ -29,7 +29,7 @@ impl IncrementalMapper<'_> {
             if open.len() < FEW {
                 break;
             }
-            self.noise = Noise::Unknown;
+            self.noise = None;
             self.map.activate(open);
             self.adjust(&Scope::Everything, self.freedom)?;
             self.map.update_observations(&self.limits());

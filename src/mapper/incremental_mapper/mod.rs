@@ -67,7 +67,7 @@ impl<'a> IncrementalMapper<'a> {
             map,
             options,
             seed,
-            noise: Noise::Unknown,
+            noise: None,
             lens_decided: false,
             reviewed: false,
             failed,

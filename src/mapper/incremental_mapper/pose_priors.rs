@@ -6,8 +6,8 @@
 
 use super::IncrementalMapper;
 use crate::geometry::triangulation::Limits;
+use crate::mapper::MapperError;
 use crate::mapper::adjustment::{Freedom, Scope};
-use crate::mapper::{MapperError, Noise};
 use crate::math::Rigid3;
 
 /// Poses of views beforehand, right to a few degrees and pixels.
@@ -27,7 +27,7 @@ impl IncrementalMapper<'_> {
                 self.map.poses[view] = *pose;
             }
         }
-        self.noise = Noise::Unknown;
+        self.noise = None;
         let limits = self.limits();
         let mut wide = Limits { max_error_px: limits.max_error_px.max(known.error_px), ..limits };
         // Triangulation and adjustment in turns.

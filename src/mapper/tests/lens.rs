@@ -144,7 +144,7 @@ fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
             poses: None,
         };
         let growth = task.grow(1, &mut |_| {}).unwrap().unwrap();
-        let Noise::Measured { sigma_px } = growth.map().noise() else { panic!("a map has a noise") };
+        let sigma_px = growth.map().noise().unwrap();
         let here = focal_deviation_here(growth.map(), 0, sigma_px, &options).unwrap();
         let adjusted =
             focal_evidence(growth.map(), &[0], Freedom::FocalAndRadial, sigma_px, &options).unwrap().together;
