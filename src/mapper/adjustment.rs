@@ -161,7 +161,7 @@ fn hold_odd_lenses(freedom: &mut [Freedom], problem: &Problem) -> bool {
 
 /// Which points take part in a scope, by track, and which views are free.
 fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (Vec<bool>, Vec<bool>) {
-    let mut tracks = vec![false; map.table.tracks.len()];
+    let mut tracks = vec![false; map.tracks.len()];
     let mut free_views = vec![true; map.poses.len()];
     match scope {
         Scope::Everything | Scope::Roughly | Scope::Positions | Scope::Points => {
@@ -270,7 +270,7 @@ fn build_with(
             if !free_views[view] && num_held % one_in != 0 {
                 continue;
             }
-            let whitening = map.table.whitening(map.table.tracks[track][slot]);
+            let whitening = map.table.whitening(map.tracks[track][slot]);
             let seen = Observation::new(pose_of_view[view], point_index, pixel);
             problem.observations.push(Observation { whitening, ..seen });
         }

@@ -27,38 +27,12 @@ pub struct MapPoint {
     pub active: Vec<bool>,
 }
 
-/// Tracks to be reconstructed. Its tracks are a copy where tracks had to be split at gaps; its views, which take most
-/// of the memory, never are.
-#[derive(Clone)]
-pub struct Table<'a> {
-    /// As in [`TrackTable`].
-    pub views: &'a [tracks::View],
-    /// As in [`TrackTable`].
-    pub tracks: Cow<'a, [Track]>,
-}
-
-impl<'a> Table<'a> {
-    fn of(table: &'a TrackTable) -> Self {
-        Self { views: &table.views, tracks: Cow::Borrowed(&table.tracks) }
-    }
-
-    /// Position of a feature.
-    pub fn pixel(&self, feature: Feature) -> Point2<f64> {
-        self.views[feature.view as usize].pixels[feature.feature as usize]
-    }
-
-    /// Whitening of a feature's position error.
-    pub fn whitening(&self, feature: Feature) -> Whitening {
-        self.views[feature.view as usize].whitening_of(feature.feature)
-    }
-}
-
 /// Features of each view that belong to tracks.
-fn slots_of_view(table: &Table<'_>) -> Vec<Vec<Slot>> {
-    let mut counts = vec![0; table.views.len()];
-    table.tracks.iter().flatten().for_each(|feature| counts[feature.view as usize] += 1);
+fn slots_of_view(num_views: usize, tracks: &[Track]) -> Vec<Vec<Slot>> {
+    let mut counts = vec![0; num_views];
+    tracks.iter().flatten().for_each(|feature| counts[feature.view as usize] += 1);
     let mut slots: Vec<Vec<Slot>> = counts.into_iter().map(Vec::with_capacity).collect();
-    for (track, features) in (0..).zip(table.tracks.iter()) {
+    for (track, features) in (0..).zip(tracks) {
         for (slot, feature) in (0..).zip(features) {
             slots[feature.view as usize].push(Slot { track, slot });
         }
@@ -78,8 +52,10 @@ pub struct Slot {
 /// Poses and points found so far.
 #[derive(Clone)]
 pub struct Map<'a> {
-    /// Tracks to be reconstructed.
-    pub table: Table<'a>,
+    /// Views and tracks to be reconstructed.
+    pub table: &'a TrackTable,
+    /// Its tracks; a copy where tracks had to be split at gaps.
+    pub tracks: Cow<'a, [Track]>,
     /// Intrinsics.
     pub cameras: Vec<Camera>,
     /// Intrinsics as they were at the start.
@@ -101,7 +77,6 @@ pub struct Map<'a> {
 impl<'a> Map<'a> {
     /// Nothing but the prior knowledge of the intrinsics.
     pub fn new(table: &'a TrackTable, cameras: &[Camera], known: KnownIntrinsics) -> Self {
-        let table = Table::of(table);
         Self {
             cameras: cameras.to_vec(),
             guess: cameras.to_vec(),
@@ -109,9 +84,10 @@ impl<'a> Map<'a> {
             poses: vec![None; table.views.len()],
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
-            slots_of_view: slots_of_view(&table),
+            slots_of_view: slots_of_view(table.views.len(), &table.tracks),
             comes_back: false,
             table,
+            tracks: Cow::Borrowed(&table.tracks),
         }
     }
 
@@ -173,7 +149,7 @@ impl<'a> Map<'a> {
 
     /// View and position of a feature of a track.
     pub fn feature(&self, track: usize, slot: usize) -> (usize, Point2<f64>) {
-        let feature = self.table.tracks[track][slot];
+        let feature = self.tracks[track][slot];
         (feature.view as usize, self.table.pixel(feature))
     }
 
@@ -238,13 +214,13 @@ impl<'a> Map<'a> {
 
     fn triangulate(&mut self, track: usize, limits: &Limits) -> bool {
         let slots: Vec<usize> =
-            (0..self.table.tracks[track].len()).filter(|&slot| self.pose_at(track, slot).is_some()).collect();
+            (0..self.tracks[track].len()).filter(|&slot| self.pose_at(track, slot).is_some()).collect();
         if slots.len() < 2 {
             return false;
         }
         let views: Vec<View<'_>> = slots.iter().filter_map(|&slot| self.view_at(track, slot)).collect();
         let Some(found) = triangulation::triangulate(&views, limits) else { return false };
-        let mut active = vec![false; self.table.tracks[track].len()];
+        let mut active = vec![false; self.tracks[track].len()];
         for (&slot, inlier) in slots.iter().zip(found.inliers) {
             active[slot] = inlier;
         }
@@ -309,14 +285,14 @@ impl<'a> Map<'a> {
     pub fn look_for_places_that_come_back(&mut self, gap: usize) {
         let is_far = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize > gap;
         // Fewer returns happen by wrong matches.
-        self.comes_back = self.table.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(20).is_some();
+        self.comes_back = self.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(20).is_some();
     }
 
     fn set_point(&mut self, track: usize, point: Option<MapPoint>) {
         let (before, after) = (self.points[track].is_some(), point.is_some());
         self.points[track] = point;
         if before != after {
-            for feature in &self.table.tracks[track] {
+            for feature in &self.tracks[track] {
                 let count = &mut self.num_visible[feature.view as usize];
                 *count = if after { *count + 1 } else { *count - 1 };
             }
@@ -324,12 +300,12 @@ impl<'a> Map<'a> {
     }
 
     fn pose_at(&self, track: usize, slot: usize) -> Option<&Rigid3> {
-        self.poses[self.table.tracks[track][slot].view as usize].as_ref()
+        self.poses[self.tracks[track][slot].view as usize].as_ref()
     }
 
     fn view_at(&self, track: usize, slot: usize) -> Option<View<'_>> {
         let (view, pixel) = self.feature(track, slot);
-        let whitening = self.table.whitening(self.table.tracks[track][slot]);
+        let whitening = self.table.whitening(self.tracks[track][slot]);
         Some(View { camera: self.camera_of(view), cam_from_world: self.poses[view].as_ref()?, pixel, whitening })
     }
 
@@ -404,7 +380,7 @@ impl<'a> Map<'a> {
         let mut elements = Vec::new();
         let (mut rgb_sum, mut error_sum) = ([0u32; 3], 0.0);
         for (slot, view, _) in self.observations(track) {
-            let feature = self.table.tracks[track][slot];
+            let feature = self.tracks[track][slot];
             let source = &self.table.views[view];
             elements.push(TrackElement { image: source.image, observation_idx: feature.feature });
             for (sum, c) in rgb_sum.iter_mut().zip(source.rgb[feature.feature as usize]) {

@@ -149,7 +149,7 @@ pub fn remarks_on(map: &Map<'_>) -> Vec<ModelWeakness> {
 /// Returns true if nine points in ten lie within a hundredth of the median distance of a plane.
 fn is_planar(map: &Map<'_>) -> bool {
     let mut points: Vec<Vector3<f64>> =
-        (0..map.table.tracks.len()).filter_map(|t| Some(map.point(t)?.position.coords)).collect();
+        (0..map.tracks.len()).filter_map(|t| Some(map.point(t)?.position.coords)).collect();
     let Some(center) = map.registered().next().and_then(|v| map.poses[v]).map(|pose| pose.center().coords) else {
         return false;
     };

@@ -69,7 +69,7 @@ pub struct ViewGraph {
 impl ViewGraph {
     /// Of all views of a map's table, registered or not.
     pub fn new(map: &Map<'_>, thresholds: Thresholds, seed: u64) -> Self {
-        let tracks = &map.table.tracks;
+        let tracks = &map.tracks;
         let mut tracks_of: Vec<Vec<u32>> = vec![Vec::new(); map.poses.len()];
         for (index, track) in tracks.iter().enumerate() {
             track.iter().for_each(|f| tracks_of[f.view as usize].push(index as u32));
@@ -154,7 +154,7 @@ impl ViewGraph {
 
     fn fits(&self, map: &Map<'_>, track: usize, view: usize) -> bool {
         let (Some(point), Some(pose)) = (map.point(track), &map.poses[view]) else { return false };
-        let Some(feature) = map.table.tracks[track].iter().find(|f| f.view as usize == view) else { return false };
+        let Some(feature) = map.tracks[track].iter().find(|f| f.view as usize == view) else { return false };
         map.camera_of(view)
             .pixel_from_cam(*pose * point.position)
             .is_some_and(|pixel| (pixel - map.table.pixel(*feature)).norm() <= self.thresholds.max_error_px)
@@ -168,7 +168,7 @@ impl ViewGraph {
         common: &[usize],
         max_error_px: f64,
     ) -> (Correspondences, f64, Rng) {
-        let (pairs, mean_focal) = correspondences(map.table.views, &map.table.tracks, &map.cameras, views, common);
+        let (pairs, mean_focal) = correspondences(&map.table.views, &map.tracks, &map.cameras, views, common);
         (pairs, max_error_px / mean_focal, two_view::pair_rng(self.seed, views))
     }
 }

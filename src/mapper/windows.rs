@@ -44,7 +44,7 @@ pub fn is_long(map: &Map<'_>, options: &Options) -> bool {
 /// took part.
 pub fn sweep(map: &mut Map<'_>, scope: &Scope, noise: Noise, options: &Options) -> Result<Vec<bool>, MapperError> {
     let views: Vec<usize> = map.registered().collect();
-    let mut adjusted = vec![false; map.table.tracks.len()];
+    let mut adjusted = vec![false; map.tracks.len()];
     for start in (0..views.len()).step_by(STEP) {
         let end = views.len().min(start + WINDOW);
         let (first, last) = (views[start], views[end - 1]);
@@ -127,7 +127,7 @@ impl Carrier {
             }
         }
         for track in (0..adjusted.len()).filter(|&track| !adjusted[track]) {
-            let reaches = map.table.tracks[track].last().is_some_and(|seen| seen.view as usize > self.view);
+            let reaches = map.tracks[track].last().is_some_and(|seen| seen.view as usize > self.view);
             if let Some(position) = map.point(track).filter(|_| reaches).map(|point| point.position) {
                 map.move_point(track, new_from_old * position);
             }

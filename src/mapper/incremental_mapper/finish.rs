@@ -145,7 +145,7 @@ impl IncrementalMapper<'_> {
         self.noise = None;
         views.iter().for_each(|&view| self.map.unregister(view));
         let untouched: Vec<bool> =
-            self.map.table.tracks.iter().map(|t| t.iter().all(|f| !views.contains(&(f.view as usize)))).collect();
+            self.map.tracks.iter().map(|t| t.iter().all(|f| !views.contains(&(f.view as usize)))).collect();
         self.map.retriangulate(&self.limits(), &untouched);
     }
 

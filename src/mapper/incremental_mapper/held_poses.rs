@@ -27,7 +27,7 @@ impl IncrementalMapper<'_> {
         self.num_infinite = self.map.reject_infinite_points();
         let num_explained = self.map.num_observations();
         let is_seen = |view: u32| self.map.poses[view as usize].is_some();
-        let num_seen = self.map.table.tracks.iter().flatten().filter(|feature| is_seen(feature.view)).count();
+        let num_seen = self.map.tracks.iter().flatten().filter(|feature| is_seen(feature.view)).count();
         Ok(num_explained as f64 / num_seen.max(1) as f64)
     }
 

@@ -131,7 +131,7 @@ impl<'a> IncrementalMapper<'a> {
     /// The map and what became of every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
         let failure = |view: usize| self.map.poses[view].is_none().then(|| self.reason(view));
-        let views = Report::of_views(self.map.table.views, failure);
+        let views = Report::of_views(&self.map.table.views, failure);
         let report = Report {
             views,
             num_points: self.map.num_points(),

@@ -19,25 +19,25 @@ impl Map<'_> {
             }
         }
         for (track, parts) in &apart {
-            let features = std::mem::take(&mut self.table.tracks.to_mut()[*track]);
+            let features = std::mem::take(&mut self.tracks.to_mut()[*track]);
             let is_apart = |slot: usize| parts.iter().any(|part| part.contains(&slot));
             let kept = |slot: &usize| !is_apart(*slot);
-            let tracks = self.table.tracks.to_mut();
+            let tracks = self.tracks.to_mut();
             tracks[*track] = (0..features.len()).filter(kept).map(|slot| features[slot]).collect();
             tracks.extend(parts.iter().map(|part| features[part.clone()].to_vec()));
             if let Some(point) = &mut self.points[*track] {
                 point.active = (0..features.len()).filter(kept).map(|slot| point.active[slot]).collect();
             }
         }
-        self.points.resize(self.table.tracks.len(), None);
-        self.slots_of_view = slots_of_view(&self.table);
+        self.points.resize(self.tracks.len(), None);
+        self.slots_of_view = slots_of_view(self.poses.len(), &self.tracks);
         self.num_visible = (0..self.poses.len()).map(|view| self.visible(view).len()).collect();
         apart.len()
     }
 
     /// The parts of a track between its gaps, as slots; none where it has no gap or no known point.
     fn parts(&self, track: usize) -> Vec<Range<usize>> {
-        let features = &self.table.tracks[track];
+        let features = &self.tracks[track];
         let gaps = (1..features.len()).filter(|&slot| features[slot].view > features[slot - 1].view + 1);
         let ends: Vec<usize> = std::iter::once(0).chain(gaps).chain([features.len()]).collect();
         if ends.len() == 2 || self.points[track].is_none() {
@@ -58,7 +58,7 @@ impl Map<'_> {
     pub fn open_joints(&self, max_error_px: f64, min_gap: usize) -> Vec<Slot> {
         let max_sq = max_error_px * max_error_px;
         let gap = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize;
-        let is_joined = |track: usize| self.table.tracks[track].windows(2).any(|pair| gap(pair) > min_gap);
+        let is_joined = |track: usize| self.tracks[track].windows(2).any(|pair| gap(pair) > min_gap);
         let open = |track: usize| {
             let point = self.points[track].as_ref()?;
             let fits = |slot: &usize| {
