@@ -13,7 +13,6 @@ use super::{KnownIntrinsics, Noise};
 use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::features::tracks::{self, Feature, Track, TrackTable};
-use crate::geometry::resection::PixelsAndPoints;
 use crate::geometry::triangulation::{self, Limits, View};
 use crate::math::{RAYLEIGH_MEDIAN, Rigid3, upper_median, widest_angle};
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
@@ -167,15 +166,6 @@ impl<'a> Map<'a> {
                 Some((self.feature(s.track as usize, s.slot as usize).1, point.position))
             })
             .unzip()
-    }
-
-    /// The data of a resection, over buffers made by [`Map::pixels_and_points`].
-    pub fn resection_data<'b>(
-        &'b self,
-        view: usize,
-        (pixels, points): &'b (Vec<Point2<f64>>, Vec<Point3<f64>>),
-    ) -> PixelsAndPoints<'b> {
-        PixelsAndPoints { camera: self.camera_of(view), pixels, points }
     }
 
     /// Marks features as observations of their points.

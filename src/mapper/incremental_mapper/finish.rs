@@ -2,11 +2,10 @@
 
 use super::super::view_graph::{self, PairVerdict, Thresholds, ViewGraph};
 use super::{Attempt, IncrementalMapper, LOOSE};
-use crate::geometry::resection::{self, Resection};
+use crate::geometry::resection::Resection;
 use crate::mapper::adjustment::{Freedom, Scope};
 use crate::mapper::map::Slot;
 use crate::mapper::{MapperError, focal_length};
-use crate::math::{Rigid3, seeded_rng};
 
 impl IncrementalMapper<'_> {
     /// Adjusts everything on all points, and takes out and tries again what contradicts the view graph.
@@ -168,7 +167,8 @@ impl IncrementalMapper<'_> {
         self.refused[view] = Some((0, 0));
         let between = self.interpolated(view).filter(|_| self.options.ordered);
         for (slots, start) in [(of_accusers, None), (all.clone(), None), (all, between)] {
-            let Some(found) = self.pose_from(view, &slots, start) else { continue };
+            let found = self.resect(view, &slots, start);
+            let Some(found) = found.filter(|r| r.inliers.len() >= self.options.min_resection_inliers) else { continue };
             self.map.poses[view] = Some(found.cam_from_world);
             let (agreeing, against) = view_graph::balance(&graph.opinions(&self.map, Some(view)), view);
             self.map.poses[view] = None;
@@ -182,17 +182,6 @@ impl IncrementalMapper<'_> {
         self.refused[view] = None;
         self.set_pose(view, &found, &slots);
         true
-    }
-
-    pub(super) fn pose_from(&self, view: usize, slots: &[Slot], start: Option<Rigid3>) -> Option<Resection> {
-        let buffers = self.map.pixels_and_points(slots);
-        let data = self.map.resection_data(view, &buffers);
-        let max_error = self.options.max_pose_error_px;
-        let found = match start {
-            Some(pose) => resection::refine_from(&data, &pose, max_error),
-            None => resection::estimate(&data, max_error, &mut seeded_rng(self.seed, view as u64)),
-        };
-        found.filter(|r| r.inliers.len() >= self.options.min_resection_inliers)
     }
 
     fn is_seen_by(&self, slot: &Slot, views: &[usize]) -> bool {

@@ -14,7 +14,7 @@ use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, ModelWeakness};
 use super::{MapperError, Noise, Options, Reason, Report, focal_length, windows};
-use crate::geometry::resection::{self, Resection};
+use crate::geometry::resection::{self, PixelsAndPoints, Resection};
 use crate::geometry::triangulation::Limits;
 use crate::math::{Rigid3, seeded_rng};
 pub use pose_priors::PosePriors;
@@ -188,15 +188,22 @@ impl<'a> IncrementalMapper<'a> {
             return self.register_with_focal(view);
         }
         let visible = self.map.visible(view);
-        let buffers = self.map.pixels_and_points(&visible);
-        let data = self.map.resection_data(view, &buffers);
-        let mut rng = seeded_rng(self.seed, view as u64);
-        let from_neighbour = self
-            .nearest_registered(view)
-            .and_then(|pose| resection::refine_from(&data, &pose, self.options.max_pose_error_px))
-            .filter(|r| self.is_enough(r, visible.len()));
-        let found = from_neighbour.or_else(|| resection::estimate(&data, self.options.max_pose_error_px, &mut rng));
+        let neighbour = self.nearest_registered(view);
+        let from_neighbour = neighbour.and_then(|pose| self.resect(view, &visible, Some(pose)));
+        let found =
+            from_neighbour.filter(|r| self.is_enough(r, visible.len())).or_else(|| self.resect(view, &visible, None));
         self.accept(view, &visible, found)
+    }
+
+    /// Pose of a view from some of its features with known points: near `start`, otherwise from samples of them.
+    fn resect(&self, view: usize, slots: &[Slot], start: Option<Rigid3>) -> Option<Resection> {
+        let (pixels, points) = self.map.pixels_and_points(slots);
+        let data = PixelsAndPoints { camera: self.map.camera_of(view), pixels: &pixels, points: &points };
+        let max_error_px = self.options.max_pose_error_px;
+        match start {
+            Some(pose) => resection::refine_from(&data, &pose, max_error_px),
+            None => resection::estimate(&data, max_error_px, &mut seeded_rng(self.seed, view as u64)),
+        }
     }
 
     fn accept(&mut self, view: usize, visible: &[Slot], found: Option<Resection>) -> bool {

@@ -27,9 +27,9 @@ impl IncrementalMapper<'_> {
         self.take_out(&leapt);
         for &view in &leapt {
             let visible = self.map.visible(view);
-            let start = self.interpolated(view);
-            let found = start.and_then(|start| self.pose_from(view, &visible, Some(start)));
-            match found.filter(|found| found.inliers.len() as f64 >= KEPT * support[view] as f64) {
+            let found = self.interpolated(view).and_then(|start| self.resect(view, &visible, Some(start)));
+            let least = (KEPT * support[view] as f64).max(self.options.min_resection_inliers as f64);
+            match found.filter(|found| found.inliers.len() as f64 >= least) {
                 Some(found) => self.set_pose(view, &found, &visible),
                 None => self.failed[view] = Some(Attempt { visible: visible.len(), inliers: 0 }),
             }
