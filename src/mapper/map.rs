@@ -203,17 +203,15 @@ impl<'a> Map<'a> {
     }
 
     fn triangulate(&mut self, track: usize, limits: &Limits) -> bool {
-        let slots: Vec<usize> =
-            (0..self.tracks[track].len()).filter(|&slot| self.pose_at(track, slot).is_some()).collect();
+        let num_slots = self.tracks[track].len();
+        let (slots, views): (Vec<usize>, Vec<View<'_>>) =
+            (0..num_slots).filter_map(|slot| Some((slot, self.view_at(track, slot)?))).unzip();
         if slots.len() < 2 {
             return false;
         }
-        let views: Vec<View<'_>> = slots.iter().filter_map(|&slot| self.view_at(track, slot)).collect();
         let Some(found) = triangulation::triangulate(&views, limits) else { return false };
-        let mut active = vec![false; self.tracks[track].len()];
-        for (&slot, inlier) in slots.iter().zip(found.inliers) {
-            active[slot] = inlier;
-        }
+        let mut active = vec![false; num_slots];
+        slots.iter().zip(found.inliers).for_each(|(&slot, inlier)| active[slot] = inlier);
         self.set_point(track, Some(MapPoint { position: found.position, active }));
         true
     }
@@ -294,9 +292,17 @@ impl<'a> Map<'a> {
     }
 
     fn view_at(&self, track: usize, slot: usize) -> Option<View<'_>> {
+        let cam_from_world = self.pose_at(track, slot)?;
         let (view, pixel) = self.feature(track, slot);
         let whitening = self.table.whitening(self.tracks[track][slot]);
-        Some(View { camera: self.camera_of(view), cam_from_world: self.poses[view].as_ref()?, pixel, whitening })
+        Some(View { camera: self.camera_of(view), cam_from_world, pixel, whitening })
+    }
+
+    /// Squared reprojection errors of the observations of a known point, whitened.
+    fn errors_sq(&self, track: usize) -> impl Iterator<Item = f64> + '_ {
+        let point = self.points[track].as_ref();
+        self.observations(track)
+            .filter_map(move |(slot, ..)| Some(self.view_at(track, slot)?.error_sq(point?.position)))
     }
 
     /// Observations of a known point: slot, view and pixel.
@@ -324,15 +330,8 @@ impl<'a> Map<'a> {
     /// Number of observations that the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
     /// units of the whitening) or where its point or view is unknown.
     pub fn num_explained(&self, max_error: f64) -> f64 {
-        let misfit = |track: usize, position: Point3<f64>, slot: usize| {
-            self.view_at(track, slot).map_or(1.0, |view| (view.error_sq(position) / max_error.powi(2)).min(1.0))
-        };
-        (0..self.points.len())
-            .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
-            .map(|(track, position)| {
-                self.observations(track).map(|(slot, _, _)| 1.0 - misfit(track, position, slot)).sum::<f64>()
-            })
-            .sum()
+        let explained = |error_sq: f64| 1.0 - (error_sq / max_error.powi(2)).min(1.0);
+        (0..self.points.len()).map(|track| self.errors_sq(track).map(explained).sum::<f64>()).sum()
     }
 
     /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a
@@ -342,11 +341,7 @@ impl<'a> Map<'a> {
         // A median of 20,000 tracks is right to a hundredth.
         let errors: Vec<f64> = (0..self.points.len())
             .step_by((self.points.len() / 20_000).max(1))
-            .filter_map(|track| Some((track, self.points[track].as_ref()?.position)))
-            .flat_map(|(track, position)| {
-                self.observations(track)
-                    .filter_map(move |(slot, _, _)| Some(self.view_at(track, slot)?.error_sq(position).sqrt()))
-            })
+            .flat_map(|track| self.errors_sq(track).map(f64::sqrt))
             .collect();
         upper_median(errors).map(|median| median / RAYLEIGH_MEDIAN)
     }

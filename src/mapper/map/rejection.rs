@@ -22,9 +22,7 @@ impl Map<'_> {
 
     fn has_finite_errors(&self, track: usize) -> bool {
         let Some(point) = &self.points[track] else { return false };
-        let views = || self.observations(track).filter_map(|(slot, ..)| self.view_at(track, slot));
-        let centers = views().map(|view| Rigid3::center(view.cam_from_world));
-        views().all(|view| view.error_sq(point.position).is_finite())
-            && widest_angle(point.position, centers) >= LEAST_PARALLAX
+        let centers = self.observations(track).filter_map(|(slot, ..)| self.pose_at(track, slot).map(Rigid3::center));
+        self.errors_sq(track).all(f64::is_finite) && widest_angle(point.position, centers) >= LEAST_PARALLAX
     }
 }
