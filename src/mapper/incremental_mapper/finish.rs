@@ -1,11 +1,11 @@
 //! The last adjustments of a map, and what they depend on.
 
 use super::super::view_graph::{self, PairVerdict, Thresholds, ViewGraph};
-use super::{Attempt, IncrementalMapper, LOOSE};
+use super::{IncrementalMapper, LOOSE};
 use crate::geometry::resection::Resection;
 use crate::mapper::adjustment::{Freedom, Scope};
 use crate::mapper::map::Slot;
-use crate::mapper::{MapperError, focal_length};
+use crate::mapper::{MapperError, Reason, focal_length};
 
 impl IncrementalMapper<'_> {
     /// Adjusts everything on all points, and takes out and tries again what contradicts the view graph.
@@ -164,22 +164,21 @@ impl IncrementalMapper<'_> {
         let all = self.map.visible(view);
         let of_accusers: Vec<Slot> = all.iter().copied().filter(|s| self.is_seen_by(s, accusers)).collect();
         let mut best: Option<(Resection, Vec<Slot>, usize)> = None;
-        self.refused[view] = Some((0, 0));
+        self.failed[view] = Some(Reason::Contradicted { agreeing: 0, contradicting: 0 });
         let between = self.interpolated(view).filter(|_| self.options.ordered);
         for (slots, start) in [(of_accusers, None), (all.clone(), None), (all, between)] {
             let found = self.resect(view, &slots, start);
             let Some(found) = found.filter(|r| r.inliers.len() >= self.options.min_resection_inliers) else { continue };
             self.map.poses[view] = Some(found.cam_from_world);
-            let (agreeing, against) = view_graph::balance(&graph.opinions(&self.map, Some(view)), view);
+            let (agreeing, contradicting) = view_graph::balance(&graph.opinions(&self.map, Some(view)), view);
             self.map.poses[view] = None;
-            if agreeing > against && best.as_ref().is_none_or(|(_, _, most)| agreeing > *most) {
+            if agreeing > contradicting && best.as_ref().is_none_or(|(_, _, most)| agreeing > *most) {
                 best = Some((found, slots, agreeing));
             } else if best.is_none() {
-                self.refused[view] = Some((agreeing, against));
+                self.failed[view] = Some(Reason::Contradicted { agreeing, contradicting });
             }
         }
         let Some((found, slots, _)) = best else { return false };
-        self.refused[view] = None;
         self.set_pose(view, &found, &slots);
         true
     }
@@ -198,7 +197,7 @@ impl IncrementalMapper<'_> {
         }
         for view in weak {
             let (_, visible) = self.map.visibility(view);
-            self.failed[view] = Some(Attempt { visible, inliers: support[view] });
+            self.failed[view] = Some(Reason::NoPose { visible, inliers: support[view] });
             self.map.unregister(view);
         }
         self.map.update_observations(&self.limits());

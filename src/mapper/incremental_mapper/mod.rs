@@ -33,14 +33,12 @@ pub struct IncrementalMapper<'a> {
     freedom: Freedom,
     /// True once the motion has decided that.
     lens_decided: bool,
-    /// By view: known points seen and inliers at the last failed try.
-    failed: Vec<Option<Attempt>>,
+    /// By view: why the last attempt at it failed.
+    failed: Vec<Option<Reason>>,
     /// By camera: standard deviation of ln f, where it is not held and was asked for.
     focal_deviations: Vec<Option<f64>>,
     /// True if the view graph removed views since the last global adjustment.
     reviewed: bool,
-    /// By view: the points for and against the best pose that was found, where the view graph refused it.
-    refused: Vec<Option<(usize, usize)>>,
     /// Registered views at the last global adjustment.
     adjusted_at: usize,
     /// From the first to the last of them.
@@ -49,29 +47,20 @@ pub struct IncrementalMapper<'a> {
     num_infinite: usize,
 }
 
-#[derive(Clone, Copy)]
-struct Attempt {
-    visible: usize,
-    inliers: usize,
-}
-
 impl<'a> IncrementalMapper<'a> {
     /// An empty map.
     pub fn new(mut map: Map<'a>, options: &'a Options, seed: u64) -> Self {
         map.look_for_places_that_come_back(options.max_track_views);
-        let num_views = map.poses.len();
-        let (failed, refused) = (vec![None; num_views], vec![None; num_views]);
         Self {
             freedom: Freedom::at_first(&map),
             focal_deviations: vec![None; map.cameras.len()],
+            failed: vec![None; map.poses.len()],
             map,
             options,
             seed,
             noise: None,
             lens_decided: false,
             reviewed: false,
-            failed,
-            refused,
             adjusted_at: 0,
             adjusted_views: 0..0,
             num_infinite: 0,
@@ -173,12 +162,13 @@ impl<'a> IncrementalMapper<'a> {
     fn next_view(&self) -> Option<usize> {
         let ready = |&view: &usize| {
             let (_, visible) = self.map.visibility(view);
-            // A fifth more points is new evidence; a few are not.
-            let retry = self.failed[view].is_none_or(|a| visible as f64 > 1.2 * a.visible as f64);
-            self.map.poses[view].is_none()
-                && self.refused[view].is_none()
-                && visible >= self.options.min_resection_inliers
-                && retry
+            let retry = match self.failed[view] {
+                None => true,
+                // A fifth more points is new evidence; a few are not.
+                Some(Reason::NoPose { visible: before, .. }) => visible as f64 > 1.2 * before as f64,
+                Some(_) => false,
+            };
+            self.map.poses[view].is_none() && visible >= self.options.min_resection_inliers && retry
         };
         (0..self.map.poses.len()).filter(ready).max_by_key(|&view| (self.map.visibility(view).1, usize::MAX - view))
     }
@@ -214,7 +204,7 @@ impl<'a> IncrementalMapper<'a> {
                 true
             }
             None => {
-                self.failed[view] = Some(Attempt { visible: visible.len(), inliers });
+                self.failed[view] = Some(Reason::NoPose { visible: visible.len(), inliers });
                 false
             }
         }
@@ -307,13 +297,10 @@ impl<'a> IncrementalMapper<'a> {
     fn reason(&self, view: usize) -> Reason {
         let features = self.map.table.views[view].pixels.len();
         let (in_tracks, visible) = self.map.visibility(view);
-        if let Some((agreeing, contradicting)) = self.refused[view] {
-            return Reason::Contradicted { agreeing, contradicting };
-        }
-        match self.failed[view] {
+        match &self.failed[view] {
             _ if features == 0 => Reason::NoFeatures,
             _ if in_tracks == 0 => Reason::NoMatches { features },
-            Some(Attempt { visible, inliers }) => Reason::NoPose { visible, inliers },
+            Some(reason) => reason.clone(),
             None => Reason::TooFewPoints { visible, needed: self.options.min_resection_inliers },
         }
     }

@@ -5,8 +5,8 @@
 //! from one frame to the next, so such views are tried again from between their neighbours, and left out where that
 //! fails.
 
-use super::{Attempt, IncrementalMapper};
-use crate::mapper::MapperError;
+use super::IncrementalMapper;
+use crate::mapper::{MapperError, Reason};
 use crate::math::upper_median;
 
 /// A step that is so many times the usual one is a leap.
@@ -31,7 +31,7 @@ impl IncrementalMapper<'_> {
             let least = (KEPT * support[view] as f64).max(self.options.min_resection_inliers as f64);
             match found.filter(|found| found.inliers.len() as f64 >= least) {
                 Some(found) => self.set_pose(view, &found, &visible),
-                None => self.failed[view] = Some(Attempt { visible: visible.len(), inliers: 0 }),
+                None => self.failed[view] = Some(Reason::NoPose { visible: visible.len(), inliers: 0 }),
             }
             tracing::debug!(
                 "{}: pose outlier; corrected: {}",
