@@ -39,7 +39,7 @@ pub fn ranked(
     options: &Options,
     seed: u64,
 ) -> (Vec<InitialPair>, Survey) {
-    let common = common_tracks(table, options.min_initial_inliers);
+    let common = common_tracks(table, step(table.views.len()), usize::MAX, options.min_initial_inliers);
     let mut survey = Survey::default();
     let mut estimated: Vec<(f64, InitialPair)> = promising(table, cameras, common, &mut survey)
         .into_iter()
@@ -77,16 +77,22 @@ fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 
     if first != second && intrinsics.focal >= Intrinsics::GUESSED.focal { 0.5 } else { 1.0 }
 }
 
+/// Two views, and the tracks that they have in common.
 type PairTracks = ([usize; 2], Vec<usize>);
 
-/// Tracks that two views have in common, for pairs with enough of them.
-fn common_tracks(table: &TrackTable, min_common: usize) -> Vec<PairTracks> {
-    let step = table.views.len().div_ceil(MAX_VIEWS).clamp(1, MAX_STEP);
+/// Distance of the views that are tried as partners.
+fn step(num_views: usize) -> usize {
+    num_views.div_ceil(MAX_VIEWS).clamp(1, MAX_STEP)
+}
+
+/// Tracks that two views have in common, for pairs of every `step`th view, at most `furthest` views apart, with enough
+/// of them.
+pub fn common_tracks(table: &TrackTable, step: usize, furthest: usize, min_common: usize) -> Vec<PairTracks> {
     let mut common: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
     for (index, track) in table.tracks.iter().enumerate() {
         let views: Vec<usize> = track.iter().map(|f| f.view as usize).filter(|v| v % step == 0).collect();
         for (i, &a) in views.iter().enumerate() {
-            for &b in &views[i + 1..] {
+            for &b in views[i + 1..].iter().take_while(|b| **b - a <= furthest) {
                 common.entry([a, b]).or_default().push(index);
             }
         }
@@ -225,7 +231,7 @@ mod tests {
         };
         let track = |first: u32| (first..first + 80).map(|view| Feature { view, feature: 0 }).collect();
         let table = TrackTable { views: (0..6000).map(view).collect(), tracks: (0..5900).map(track).collect() };
-        let pairs = common_tracks(&table, 50);
+        let pairs = common_tracks(&table, step(6000), usize::MAX, 50);
         assert!(pairs.len() > 200 && pairs.iter().all(|([a, b], tracks)| b - a < 80 && tracks.len() >= 50));
     }
 }

@@ -8,8 +8,6 @@
 //! only those views count towards its length between which the two-view geometry shows depth: while the camera stands,
 //! hovers or turns on the spot, no track is cut.
 
-use std::collections::BTreeMap;
-
 use super::motion::{self, PairMotion};
 use super::{Intrinsics, Options, initial_pair};
 use crate::camera::Camera;
@@ -81,17 +79,16 @@ fn views_that_count(
     seed: u64,
 ) -> Vec<bool> {
     let step = (options.max_track_views / STRETCHES).max(1);
-    let ends = common_tracks(table, step);
     // Each stretch has its part of the angle, so that all stretches of a piece together have the whole.
     let min_angle = options.min_angle_deg.to_radians() / STRETCHES as f64;
     let mut counts = vec![true; table.views.len()];
-    for (first, tracks) in ends.into_iter().filter(|(_, tracks)| tracks.len() >= options.min_initial_inliers) {
-        let views = [first, first + step];
+    // The tracks that reach from the first view of a stretch to the first view of the next.
+    for (views, tracks) in initial_pair::common_tracks(table, step, step, options.min_initial_inliers) {
         let shows_depth = !initial_pair::is_still(table, cameras, &tracks, views)
             && initial_pair::geometry_of(table, cameras, options, seed, views, &tracks).is_some_and(|geometry| {
                 motion::of_pair(&geometry, intrinsics) == PairMotion::Other && geometry.median_angle >= min_angle
             });
-        counts[first..first + step].fill(shows_depth);
+        counts[views[0]..views[1]].fill(shows_depth);
     }
     // What is left at the end is too short to be judged, and counts like what is before it.
     let rest = counts.len().saturating_sub(1) / step * step;
@@ -99,18 +96,6 @@ fn views_that_count(
         counts[rest..].fill(before);
     }
     counts
-}
-
-/// The tracks that reach from the first view of a stretch to the first view of the next, by that first view.
-fn common_tracks(table: &TrackTable, step: usize) -> BTreeMap<usize, Vec<usize>> {
-    let mut common: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
-    for (index, track) in table.tracks.iter().enumerate() {
-        let at_ends: Vec<usize> = track.iter().map(|f| f.view as usize).filter(|view| view % step == 0).collect();
-        for pair in at_ends.windows(2).filter(|pair| pair[1] - pair[0] == step) {
-            common.entry(pair[0]).or_default().push(index);
-        }
-    }
-    common
 }
 
 #[cfg(test)]
