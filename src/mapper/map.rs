@@ -141,6 +141,11 @@ impl<'a> Map<'a> {
         (self.slots_of_view[view].len(), self.num_visible[view])
     }
 
+    /// Features of a view that belong to tracks, ascending by track.
+    pub fn slots(&self, view: usize) -> &[Slot] {
+        &self.slots_of_view[view]
+    }
+
     /// Features of a view whose points are known.
     pub fn visible(&self, view: usize) -> Vec<Slot> {
         self.slots_of_view[view].iter().copied().filter(|s| self.points[s.track as usize].is_some()).collect()

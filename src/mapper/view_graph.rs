@@ -21,7 +21,7 @@
 use std::collections::BTreeSet;
 
 use super::initial_pair::correspondences;
-use super::map::Map;
+use super::map::{Map, Slot};
 use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
 use crate::math::Rng;
 
@@ -59,9 +59,6 @@ pub struct Thresholds {
 /// The pairs of views that share most points.
 pub struct ViewGraph {
     pairs: BTreeSet<[usize; 2]>,
-    /// By view, ascending. What two views have in common is looked up when it is needed: that of all pairs of a long
-    /// video would take as much room as its tracks.
-    tracks_of: Vec<Vec<u32>>,
     thresholds: Thresholds,
     seed: u64,
 }
@@ -69,16 +66,11 @@ pub struct ViewGraph {
 impl ViewGraph {
     /// Of all views of a map's table, registered or not.
     pub fn new(map: &Map<'_>, thresholds: Thresholds, seed: u64) -> Self {
-        let tracks = &map.tracks;
-        let mut tracks_of: Vec<Vec<u32>> = vec![Vec::new(); map.poses.len()];
-        for (index, track) in tracks.iter().enumerate() {
-            track.iter().for_each(|f| tracks_of[f.view as usize].push(index as u32));
-        }
         let mut pairs = BTreeSet::new();
-        let mut shared = vec![0usize; tracks_of.len()];
-        for (view, own) in tracks_of.iter().enumerate() {
+        let mut shared = vec![0usize; map.poses.len()];
+        for view in 0..map.poses.len() {
             shared.fill(0);
-            for feature in own.iter().flat_map(|&track| &tracks[track as usize]) {
+            for feature in map.slots(view).iter().flat_map(|slot| &map.tracks[slot.track as usize]) {
                 shared[feature.view as usize] += 1;
             }
             let is_partner = |&other: &usize| other != view && shared[other] >= MIN_COMMON;
@@ -88,13 +80,7 @@ impl ViewGraph {
                 pairs.insert([view.min(other), view.max(other)]);
             }
         }
-        Self { pairs, tracks_of, thresholds, seed }
-    }
-
-    /// Tracks that two views have in common.
-    fn common(&self, [a, b]: [usize; 2]) -> Vec<usize> {
-        let seen_by_b = |track: &&u32| self.tracks_of[b].binary_search(track).is_ok();
-        self.tracks_of[a].iter().filter(seen_by_b).map(|&track| track as usize).collect()
+        Self { pairs, thresholds, seed }
     }
 
     /// Verdicts of pairs of registered views; only of those of one view, where it is given.
@@ -106,7 +92,7 @@ impl ViewGraph {
             .iter()
             .filter(|views| wanted(views))
             .filter_map(|views| {
-                let common = self.common(*views);
+                let common = common(map, *views);
                 let said = [self.opinion(map, *views, &common), self.fine_opinion(map, *views, &common)];
                 // What speaks against the map goes before what speaks for it.
                 said.into_iter().flatten().max_by_key(|opinion| (opinion.contradicting, opinion.agreeing))
@@ -171,6 +157,13 @@ impl ViewGraph {
         let (pairs, mean_focal) = correspondences(&map.table.views, &map.tracks, &map.cameras, views, common);
         (pairs, max_error_px / mean_focal, two_view::pair_rng(self.seed, views))
     }
+}
+
+/// Tracks that two views have in common. They are looked up when they are needed: those of all pairs of a long video
+/// would take as much memory as its tracks.
+fn common(map: &Map<'_>, [a, b]: [usize; 2]) -> Vec<usize> {
+    let seen_by_b = |slot: &&Slot| map.slots(b).binary_search_by_key(&slot.track, |other| other.track).is_ok();
+    map.slots(a).iter().filter(seen_by_b).map(|slot| slot.track as usize).collect()
 }
 
 /// Returns true if the relative motion that two views have by themselves differs from that of the map: in its rotation,
