@@ -73,7 +73,7 @@ pub fn rotating_camera(table: &TrackTable, camera: &Camera) -> Option<RotatingCa
         let is_first = rotations.iter().all(Option::is_none);
         rotations[view] = if is_first && rays.len() >= MIN_POINTS { Some(last) } else { world.rotation(rays, last) };
         // Too few known points say nothing against a rotation, but what follows needs the new ones.
-        if rotations[view].is_some() || world.num_known(rays) < MIN_POINTS {
+        if rotations[view].is_some() || world.known(rays).count() < MIN_POINTS {
             last = rotations[view].unwrap_or(last);
             world.extend(rays, &last);
         }
@@ -120,20 +120,26 @@ struct Directions {
 }
 
 impl Directions {
+    /// Known directions of the points of a view, and their rays.
+    fn known<'a>(
+        &'a self,
+        rays: &'a [(usize, Vector3<f64>)],
+    ) -> impl Iterator<Item = (Vector3<f64>, Vector3<f64>)> + 'a {
+        rays.iter().filter_map(move |(track, ray)| Some((self.of_track[*track]?, *ray)))
+    }
+
     /// Distances of rays from the directions of their points, pixels.
     fn errors_px<'a>(
         &'a self,
         rays: &'a [(usize, Vector3<f64>)],
         rotation: &'a UnitQuaternion<f64>,
     ) -> impl Iterator<Item = f64> + 'a {
-        let known = rays.iter().filter_map(|(track, ray)| Some((self.of_track[*track]?, ray)));
-        known.map(move |(direction, ray)| self.focal_px * (rotation * direction - ray).norm())
+        self.known(rays).map(move |(direction, ray)| self.focal_px * (rotation * direction - ray).norm())
     }
 
     /// The rotation of a view; `None` where too few points agree on one.
     fn rotation(&self, rays: &[(usize, Vector3<f64>)], start: UnitQuaternion<f64>) -> Option<UnitQuaternion<f64>> {
-        let known: Vec<(Vector3<f64>, Vector3<f64>)> =
-            rays.iter().filter_map(|(track, ray)| Some((self.of_track[*track]?, *ray))).collect();
+        let known: Vec<(Vector3<f64>, Vector3<f64>)> = self.known(rays).collect();
         if known.len() < MIN_POINTS {
             return None;
         }
@@ -151,11 +157,6 @@ impl Directions {
         let most = MAX_ERROR_PX / self.focal_px;
         let agreeing = known.iter().filter(|(direction, ray)| (rotation * direction - ray).norm() <= most).count();
         (agreeing >= MIN_POINTS && agreeing as f64 >= MIN_SHARE * known.len() as f64).then_some(rotation)
-    }
-
-    /// Points of a view whose directions are known.
-    fn num_known(&self, rays: &[(usize, Vector3<f64>)]) -> usize {
-        rays.iter().filter(|(track, _)| self.of_track[*track].is_some()).count()
     }
 
     /// Adds the directions of new points of a view.

@@ -174,7 +174,7 @@ impl<'a> IncrementalMapper<'a> {
     }
 
     fn register(&mut self, view: usize) -> bool {
-        if self.is_first_of_camera(view) {
+        if self.num_views_of_loose_camera(view) == Some(0) {
             return self.register_with_focal(view);
         }
         let visible = self.map.visible(view);
@@ -236,7 +236,8 @@ impl<'a> IncrementalMapper<'a> {
     fn settle(&mut self, view: usize) -> Result<(), MapperError> {
         let limits = self.limits();
         self.map.triangulate_seen_by(view, &limits);
-        if self.has_grown() || self.is_only_one_of_camera(view) {
+        let is_first_of_camera = || self.map.cameras.len() > 1 && self.num_views_of_loose_camera(view) == Some(1);
+        if self.has_grown() || is_first_of_camera() {
             return self.adjust_grown();
         }
         self.adjust(&Scope::Around(view), Freedom::Nothing)?;

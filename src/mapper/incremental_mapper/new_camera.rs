@@ -14,26 +14,13 @@ use crate::math::seeded_rng;
 const STEPS: i32 = 6;
 
 impl IncrementalMapper<'_> {
-    /// Returns true if a view's camera is to be estimated and it is the camera's first view.
-    pub(super) fn is_first_of_camera(&self, view: usize) -> bool {
-        self.is_looked_for(view) && self.num_views_of_camera_of(view) == 0
+    /// Registered views of a view's camera; `None` where its focal length is known well enough for a resection.
+    pub(super) fn num_views_of_loose_camera(&self, view: usize) -> Option<usize> {
+        let camera = self.map.table.views[view].camera;
+        (self.map.known.of(camera).focal > LOOSE).then(|| self.map.num_views_of_cameras()[camera])
     }
 
-    /// Returns true if a registered view is the only one of a camera that is to be estimated.
-    pub(super) fn is_only_one_of_camera(&self, view: usize) -> bool {
-        self.map.cameras.len() > 1 && self.is_looked_for(view) && self.num_views_of_camera_of(view) == 1
-    }
-
-    /// Returns true if the initial focal length of a view's camera may be too far off for a resection.
-    fn is_looked_for(&self, view: usize) -> bool {
-        self.map.known.of(self.map.table.views[view].camera).focal > LOOSE
-    }
-
-    fn num_views_of_camera_of(&self, view: usize) -> usize {
-        self.map.num_views_of_cameras()[self.map.table.views[view].camera]
-    }
-
-    /// Registers such a view with the focal length that explains most of the points that it sees.
+    /// Registers the first view of such a camera with the focal length that explains most of the points that it sees.
     pub(super) fn register_with_focal(&mut self, view: usize) -> bool {
         let visible = self.map.visible(view);
         let camera = self.map.table.views[view].camera;
