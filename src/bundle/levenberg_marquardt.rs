@@ -64,6 +64,17 @@ fn dispatch(problem: &mut Problem, options: &Options, parallel: bool) -> Summary
     };
     problem.observations = observations;
     summary.total_s = start.elapsed().as_secs_f64();
+    tracing::trace!(
+        views = problem.poses.len(),
+        points = problem.points.len(),
+        observations = problem.observations.len(),
+        iterations = summary.iterations,
+        cost = summary.final_cost,
+        linearize_s = summary.linearize_s,
+        solve_s = summary.solve_s,
+        total_s = summary.total_s,
+        "adjusted"
+    );
     summary
 }
 

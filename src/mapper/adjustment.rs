@@ -119,34 +119,21 @@ pub fn adjust(
 ) -> Result<Vec<bool>, MapperError> {
     let (tracks, free_views) = taking_part(map, scope, options);
     let mut freedom = intrinsics.of_cameras(map);
-    let local = matches!(scope, Scope::Around(_));
     let ties = Ties::of(scope, options);
-    let (mut problem, mut parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
     let (max_iterations, function_tolerance) = scope.limits(options);
     let loss = options.loss(noise);
     let hold_rotations = scope.holds_rotations();
     let bundle_options =
         bundle::Options { loss, max_iterations, function_tolerance, hold_rotations, ..bundle::Options::default() };
-    let mut summary = bundle::adjust(&mut problem, &bundle_options)?;
-    while hold_odd_lenses(&mut freedom, &problem) {
-        (problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
-        summary = bundle::adjust(&mut problem, &bundle_options)?;
+    loop {
+        let (mut problem, parts) = build_with(map, &tracks, &free_views, &freedom, noise, &ties);
+        bundle::adjust(&mut problem, &bundle_options)?;
+        if !hold_odd_lenses(&mut freedom, &problem) {
+            take_over(map, &problem, &parts);
+            return Ok(tracks);
+        }
         tracing::debug!("intrinsics are not determined by {} views; held", problem.poses.len());
     }
-    tracing::trace!(
-        views = problem.poses.len(),
-        points = problem.points.len(),
-        observations = problem.observations.len(),
-        iterations = summary.iterations,
-        cost = summary.final_cost,
-        linearize_s = summary.linearize_s,
-        solve_s = summary.solve_s,
-        total_s = summary.total_s,
-        local,
-        "adjusted"
-    );
-    take_over(map, &problem, &parts);
-    Ok(tracks)
 }
 
 /// Holds cameras that were adjusted to a lens that nobody builds: the motion does not determine them (yet), and the

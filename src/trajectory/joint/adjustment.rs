@@ -130,19 +130,7 @@ impl<'a> Adjustment<'a> {
     pub(super) fn round(&mut self, contact: &Contact) -> Result<(), ScaleError> {
         let mut problem = self.problem(contact);
         let options = bundle::Options { function_tolerance: self.tolerance, ..self.bundle_options(&problem) };
-        let adjusted = bundle::adjust(&mut problem, &options);
-        let summary = adjusted.map_err(|error| ScaleError::Adjustment(error.to_string()))?;
-        tracing::trace!(
-            views = problem.poses.len(),
-            points = problem.points.len(),
-            observations = problem.observations.len(),
-            iterations = summary.iterations,
-            cost = summary.final_cost,
-            linearize_s = summary.linearize_s,
-            solve_s = summary.solve_s,
-            total_s = summary.total_s,
-            "adjusted with the ground"
-        );
+        bundle::adjust(&mut problem, &options).map_err(|error| ScaleError::Adjustment(error.to_string()))?;
         problem.store(&mut self.object);
         Ok(())
     }
