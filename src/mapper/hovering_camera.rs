@@ -1,23 +1,11 @@
 //! A camera that does not translate: rotations, and what straight lines show of the ground and the focal length.
 
-use nalgebra::{Matrix3, UnitQuaternion, Vector3};
-use serde::{Deserialize, Serialize};
-
 use super::Intrinsics;
 use super::rotating_camera::{RotatingCamera, rotating_camera};
-use super::vanishing_points::{Horizon, horizon};
+use super::vanishing_points::{LineNormal, ViewSegments, horizon};
 use crate::camera::Camera;
 use crate::features::lines::ImageLines;
 use crate::features::tracks::TrackTable;
-
-/// The ground's normal by straight lines.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub struct LineNormal {
-    /// Unit normal in the world of the rotations, towards the camera.
-    pub normal_in_world: Vector3<f64>,
-    /// Its covariance.
-    pub covariance: Matrix3<f64>,
-}
 
 /// A camera that does not translate.
 pub struct HoveringCamera {
@@ -51,8 +39,7 @@ pub fn hovering_camera(
 ) -> Option<HoveringCamera> {
     let rotations = rotating_camera(table, camera)?;
     let posed = rotated(lines, table, &rotations);
-    let by_lines = |posed: &[Rotated]| horizon_in_world(posed, camera, focal_std);
-    let Some((mut normal, mut log_focal)) = by_lines(&posed) else {
+    let Some((mut normal, mut log_focal)) = horizon(&posed, camera, focal_std) else {
         let focal_std = if focal_std == Intrinsics::GUESSED.focal { GUESS_STD } else { focal_std };
         return Some(HoveringCamera { rotations, camera: *camera, focal_std, by_lines: None });
     };
@@ -60,31 +47,19 @@ pub fn hovering_camera(
     // Turns between the views depend on the focal length.
     let turn = posed.iter().map(|(pose, _)| pose.angle_to(&posed[0].0)).fold(0.0, f64::max);
     if turn * log_focal[0].abs() > SMALL_TURN {
-        (normal, log_focal) = by_lines(&rotated(lines, table, &rotations)).unwrap_or((normal, log_focal));
+        let posed = rotated(lines, table, &rotations);
+        (normal, log_focal) = horizon(&posed, camera, focal_std).unwrap_or((normal, log_focal));
     }
     let camera = camera.zoomed(log_focal[0].exp());
     Some(HoveringCamera { rotations, camera, focal_std: log_focal[1], by_lines: Some(normal) })
 }
 
-/// Lines with the rotation of their view, camera from world.
-type Rotated<'a> = (UnitQuaternion<f64>, &'a ImageLines);
-
-/// The lines of views that have a rotation.
-fn rotated<'a>(lines: &'a [ImageLines], table: &TrackTable, rotations: &RotatingCamera) -> Vec<Rotated<'a>> {
+/// The segments of views that have a rotation.
+fn rotated<'a>(lines: &'a [ImageLines], table: &TrackTable, rotations: &RotatingCamera) -> Vec<ViewSegments<'a>> {
     let with_rotation = |lines: &'a ImageLines| {
         let mut views = table.views.iter().zip(&rotations.poses);
         let pose = views.find_map(|(view, pose)| pose.filter(|_| view.image == lines.image))?;
-        Some((pose.rotation, lines))
+        Some((pose.rotation, lines.segments.as_slice()))
     };
     lines.iter().filter_map(with_rotation).collect()
-}
-
-/// Normal and focal length by lines, the latter as in [`Horizon`].
-fn horizon_in_world(lines: &[Rotated], camera: &Camera, focal_std: f64) -> Option<(LineNormal, [f64; 2])> {
-    let (first, _) = lines.first()?;
-    let views: Vec<_> = lines.iter().map(|(pose, lines)| (first * pose.inverse(), lines.segments.as_slice())).collect();
-    let Horizon { normal_in_cam, covariance, log_focal } = horizon(&views, camera, focal_std)?;
-    let world_from_cam = first.inverse().to_rotation_matrix();
-    let covariance = world_from_cam * covariance * world_from_cam.transpose();
-    Some((LineNormal { normal_in_world: world_from_cam * normal_in_cam, covariance }, log_focal))
 }

@@ -36,7 +36,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use calibration_fit::{CalibrationFit, calibration_fit};
-pub use hovering_camera::{HoveringCamera, LineNormal, hovering_camera};
+pub use hovering_camera::{HoveringCamera, hovering_camera};
 pub use incremental_mapper::PosePriors;
 pub use intrinsics_source::{Intrinsics, KnownIntrinsics};
 pub use long_tracks::cut_long_tracks;
@@ -45,6 +45,7 @@ pub use report::{Outcome, Reason, Report};
 #[cfg(test)]
 pub(crate) use rotating_camera::tests::views_along;
 pub use rotating_camera::{RotatingCamera, rotating_camera};
+pub use vanishing_points::LineNormal;
 #[cfg(test)]
 pub(crate) use vanishing_points::tests::street;
 

@@ -21,6 +21,7 @@
 //! A. Yuille, *Manhattan World*, 1999; G. Schindler, F. Dellaert, *Atlanta World*, 2004.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Matrix3x2, Point2, UnitQuaternion, Vector2, Vector3};
+use serde::{Deserialize, Serialize};
 
 use crate::camera::{Camera, MAX_TILT_STD, ROLL_STD, SLOPE_STD, up_in_cam};
 use crate::math::RobustLoss;
@@ -52,28 +53,28 @@ const NUM_MINIMA: usize = 4;
 /// Segments by which the grid is searched, the longest of the first view: more cost time only.
 const NUM_SEARCHED: usize = 150;
 
-/// The ground's normal, as straight lines show it.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Horizon {
-    /// Unit normal in the frame of the first view, towards the camera.
-    pub normal_in_cam: Vector3<f64>,
+/// The ground's normal by straight lines.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct LineNormal {
+    /// Unit normal in the world of the rotations, towards the camera.
+    pub normal_in_world: Vector3<f64>,
     /// Its covariance.
     pub covariance: Matrix3<f64>,
-    /// Logarithm of the focal length over the initial one, with standard deviation.
-    pub log_focal: [f64; 2],
 }
 
-/// Segments of a view: its rotation from the first one, and both ends of each, pixels.
+/// Segments of a view: its rotation, camera from world, and both ends of each, pixels.
 pub type ViewSegments<'a> = (UnitQuaternion<f64>, &'a [[Point2<f64>; 2]]);
 
-/// The horizon by segments of views of a camera that only turns; `None` where few are straight lines of a built place,
-/// or where these leave it open. Views show the same lines: together they count as one.
+/// The ground's normal, and the logarithm of the focal length over the initial one with standard deviation, by segments
+/// of views of a camera that only turns; `None` where few are straight lines of a built place, or where these leave it
+/// open. Views show the same lines: together they count as one.
 ///
-/// * `views` – the first one is the frame of the result.
 /// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
-pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Option<Horizon> {
-    let lines_of = |(first_from_view, segments): &ViewSegments| {
-        let line = |ends| Line::new(ends, camera, *first_from_view);
+pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Option<(LineNormal, [f64; 2])> {
+    let (first_from_world, _) = views.first()?;
+    let lines_of = |(view_from_world, segments): &ViewSegments| {
+        let first_from_view = first_from_world * view_from_world.inverse();
+        let line = |ends| Line::new(ends, camera, first_from_view);
         segments.iter().filter_map(line).collect::<Vec<Line>>()
     };
     let lines: Vec<Vec<Line>> = views.iter().map(lines_of).collect();
@@ -109,11 +110,13 @@ pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Optio
         let normal = up_in_cam(angles);
         let by = [Vector2::x(), Vector2::y()].map(|axis| (up_in_cam(angles + axis * STEP) - normal) / STEP);
         let by = Matrix3x2::from_columns(&by);
-        Horizon {
-            normal_in_cam: normal,
-            covariance: by * covariance.fixed_view::<2, 2>(0, 0) * by.transpose(),
-            log_focal: [mean.z, covariance[(2, 2)].sqrt().min(focal_std)],
-        }
+        let in_cam = by * covariance.fixed_view::<2, 2>(0, 0) * by.transpose();
+        let world_from_cam = first_from_world.inverse().to_rotation_matrix();
+        let in_world = LineNormal {
+            normal_in_world: world_from_cam * normal,
+            covariance: world_from_cam * in_cam * world_from_cam.transpose(),
+        };
+        (in_world, [mean.z, covariance[(2, 2)].sqrt().min(focal_std)])
     })
 }
 

@@ -55,18 +55,18 @@ fn lines_of_a_street_show_the_ground_and_the_focal_length() {
             let segments = street(&camera(), &up, 0.0, &mut rng);
             let initial = Camera::with_focal(960, 540, 800.0 * guess);
             let found = horizon(&[in_first(&segments)], &initial, 0.25).unwrap();
-            let [log_focal, std] = found.log_focal;
-            assert!(found.covariance.trace().sqrt() < 0.06 && std < 0.12, "{pitch}: {found:?}");
+            let (normal, [log_focal, std]) = found;
+            assert!(normal.covariance.trace().sqrt() < 0.06 && std < 0.12, "{pitch}: {found:?}");
             assert!((log_focal + f64::ln(guess)).abs() < 1.5 * std, "{pitch}: {found:?}");
             let held = horizon(&[in_first(&segments)], &camera(), 0.0).unwrap();
-            assert!(held.log_focal[0].abs() < 1e-9, "{held:?}");
+            assert!(held.1[0].abs() < 1e-9, "{held:?}");
             // The same street by a camera that has turned.
             let turn = UnitQuaternion::from_scaled_axis(Vector3::new(0.02, 0.05, -0.01));
             let in_turned = |end| camera().pixel_from_cam(Point3::from(turn.inverse() * camera().ray_from_pixel(end)));
             let turned = segments.iter().map(|ends| ends.map(|end| in_turned(end).unwrap()));
             let turned: Vec<[Point2<f64>; 2]> = turned.collect();
-            let both = horizon(&[in_first(&segments), (turn, &turned)], &camera(), 0.0).unwrap();
-            let found = [found, held, both].map(|found| found.normal_in_cam.angle(&up));
+            let both = horizon(&[in_first(&segments), (turn.inverse(), &turned)], &camera(), 0.0).unwrap();
+            let found = [found, held, both].map(|(normal, _)| normal.normal_in_world.angle(&up));
             offs.iter_mut().zip(found).for_each(|(offs, off)| offs.push(off));
         }
         for offs in offs {
@@ -81,10 +81,10 @@ fn the_slope_of_a_street_is_within_sigma() {
     let mut rng = seeded_rng(4, 0);
     let angles = Vector2::new(0.6, 0.0);
     for slope in [-0.04, -0.02, 0.02, 0.04] {
-        let found =
+        let (normal, log_focal) =
             horizon(&[in_first(&street(&camera(), &up_in_cam(angles), slope, &mut rng))], &camera(), 0.25).unwrap();
-        let off = found.normal_in_cam.angle(&up_in_cam(angles)) / found.covariance.trace().sqrt();
-        let of_focal = found.log_focal[0].abs() / found.log_focal[1];
+        let off = normal.normal_in_world.angle(&up_in_cam(angles)) / normal.covariance.trace().sqrt();
+        let of_focal = log_focal[0].abs() / log_focal[1];
         assert!(off < 1.5 && of_focal < 1.5, "{slope}: {off} {of_focal}");
     }
 }
@@ -111,7 +111,7 @@ fn lines_seen_from_straight_above_show_nothing() {
         for _ in 0..4 {
             let segments = street(&camera(), &up_in_cam(Vector2::new(pitch, 0.0)), 0.0, &mut rng);
             let found = horizon(&[in_first(&segments)], &camera(), focal_std);
-            assert_eq!(found.map(|found| found.normal_in_cam), None, "{pitch}");
+            assert_eq!(found, None, "{pitch}");
         }
     }
 }
