@@ -249,7 +249,10 @@ mod tests {
             shares: Some(ScaleShares { frames: 0.01, contact: 1.0 / 3.0, ..ScaleShares::default() }),
             references: [
                 (ScaleMethod::Yuan, Reference { ratio: Some(0.72), std: Some(0.03), undetermined: None }),
-                (ScaleMethod::Park, Reference { undetermined: Some("no solution".into()), ..Reference::default() }),
+                (
+                    ScaleMethod::OzdenPlane,
+                    Reference { undetermined: Some("no solution".into()), ..Reference::default() },
+                ),
             ]
             .into(),
             support: Some(ScaleSupport { num_points: 90, disagreement: Some(0.041), ..ScaleSupport::default() }),

@@ -16,8 +16,6 @@ pub enum ScaleMethod {
     RobustLeastSquares,
     /// Adjustment of vehicle and ground planes.
     Joint,
-    /// Reference method: least correlation of the paths of vehicle and camera.
-    OzdenIndependence,
     /// Reference method: path in a plane, whichever.
     OzdenPlane,
     /// Reference method: path across the axis about which the vehicle turns.
@@ -30,10 +28,6 @@ pub enum ScaleMethod {
     Yuan,
     /// Reference method: translation parallel to the local ground planes.
     YuanLocal,
-    /// Reference method: path of few low frequencies, triangulated.
-    Park,
-    /// Reference method: constant velocity, filtered.
-    Kundu,
 }
 
 /// Row of the table of methods.
@@ -59,15 +53,12 @@ with_names!(ScaleMethod {
     ConstantDistance = "constant-distance",
     Joint = "joint",
     RobustLeastSquares = "least-squares",
-    OzdenIndependence = "ozden-independence",
     OzdenPlane = "ozden-plane",
     OzdenAxis = "ozden-axis",
     OzdenHeading = "ozden-heading",
     CameraHeight = "camera-height",
     Yuan = "yuan",
     YuanLocal = "yuan-local",
-    Park = "park",
-    Kundu = "kundu",
 });
 
 impl ScaleMethod {
@@ -80,10 +71,6 @@ impl ScaleMethod {
                 ("this program", "constant distance to the local ground planes, in all frames at once")
             }
             Self::Joint => ("this program", "contact with the local ground planes and level on them; outlines"),
-            Self::OzdenIndependence => (
-                "Ozden, Cornelis, Van Eycken, Van Gool, CVIU 96, 2004",
-                "motion independent of the camera's; paths only",
-            ),
             Self::OzdenPlane => (OZDEN_CVPR, "motion in a plane; paths only"),
             Self::OzdenAxis => (OZDEN_CVPR, "motion in a plane about whose normal it turns; attitudes"),
             Self::OzdenHeading => (OZDEN_CVPR, "motion where it points; attitudes"),
@@ -92,10 +79,6 @@ impl ScaleMethod {
             }
             Self::Yuan => (YUAN, "translation parallel to one ground plane"),
             Self::YuanLocal => (YUAN, "translation parallel to the local ground planes"),
-            Self::Park => {
-                ("Park, Shiratori, Matthews, Sheikh, ECCV 2010, IJCV 2015", "path of few low frequencies; rays only")
-            }
-            Self::Kundu => ("Kundu, Krishna, Jawahar, ICCV 2011", "almost constant velocity; paths only"),
         };
         MethodInfo { name: self.name(), citation, needs, is_reference: self.is_reference() }
     }

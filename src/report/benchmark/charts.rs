@@ -179,7 +179,7 @@ mod tests {
     #[test]
     fn every_estimator_with_a_ratio_has_a_chart_and_undetermined_ratios_a_mark() {
         let mut set = paper::published();
-        for method in [ScaleMethod::Yuan, ScaleMethod::Park] {
+        for method in [ScaleMethod::Yuan, ScaleMethod::OzdenPlane] {
             set.sequences[0].undetermined.insert(method, "the camera keeps its height".into());
         }
         let found = set.sequences[1].estimators[&ScaleMethod::Intersection];
@@ -188,7 +188,7 @@ mod tests {
         for title in ["intersection, paper", "constant-distance, paper", "yuan, paper"] {
             assert_eq!(svg.matches(&format!("\n{title}\n")).count(), 1, "{title}");
         }
-        assert!(!svg.contains("park"), "no ratio at all");
+        assert!(!svg.contains("ozden-plane"), "no ratio at all");
         assert_eq!(svg.matches("\nundetermined\n").count(), 1);
         assert!(svg.contains("\nfailed\n"));
     }

@@ -4,14 +4,10 @@
 //! compiler asks for. Options, verdict, benchmark, charts, report and documents follow the table.
 
 mod camera_height;
-mod kundu;
 mod motion;
 mod ozden_axis;
 mod ozden_heading;
-mod ozden_independence;
 mod ozden_plane;
-mod park;
-mod search;
 #[cfg(test)]
 mod tests;
 mod yuan;
@@ -43,25 +39,17 @@ impl Estimate {
 /// [`ScaleMethod::Joint`], which makes a model of its own ([`joint`](super::joint())).
 pub fn estimate(method: ScaleMethod, views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
     let alone = |ratio: fn(&Motion) -> Result<f64, ScaleError>| Motion::new(views)?.jackknifed(ratio);
-    let around_contact = |ratio: fn(&Motion, f64) -> Result<f64, ScaleError>| {
-        let motion = Motion::new(views)?;
-        let guess = motion.contact()?;
-        motion.jackknifed(|motion| ratio(motion, guess))
-    };
     match method {
         ScaleMethod::ConstantDistance => constant_distance::estimate(views, options),
         ScaleMethod::Intersection => Ok(Estimate::new(intersection::intersection(views)?.ratio, None)),
         ScaleMethod::RobustLeastSquares => least_squares::estimate(views, options),
         ScaleMethod::Joint => Err(ScaleError::NoAnswer(method)),
-        ScaleMethod::OzdenIndependence => around_contact(ozden_independence::ratio),
-        ScaleMethod::OzdenPlane => around_contact(ozden_plane::ratio),
+        ScaleMethod::OzdenPlane => ozden_plane::estimate(views),
         ScaleMethod::OzdenAxis => alone(ozden_axis::ratio),
         ScaleMethod::OzdenHeading => ozden_heading::estimate(views),
         ScaleMethod::CameraHeight => camera_height::estimate(views, options),
         ScaleMethod::Yuan => alone(yuan::ratio),
         ScaleMethod::YuanLocal => alone(yuan::local_ratio),
-        ScaleMethod::Park => alone(park::ratio),
-        ScaleMethod::Kundu => kundu::estimate(views),
     }
 }
 

@@ -155,6 +155,12 @@ pub(super) fn positive(ratio: f64) -> Result<f64, ScaleError> {
     }
 }
 
+/// Vectors minus their mean.
+pub(super) fn centered(vectors: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
+    let mean = vectors.iter().sum::<Vector3<f64>>() / vectors.len() as f64;
+    vectors.iter().map(|vector| vector - mean).collect()
+}
+
 /// Length of an object by the quantile of its points' distances from their middle, which stray points do not reach.
 fn length(points: &[Point3<f64>], middle: &Point3<f64>) -> f64 {
     let mut distances: Vec<f64> = points.iter().map(|point| (point - middle).norm()).collect();

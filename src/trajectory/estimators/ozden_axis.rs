@@ -14,8 +14,7 @@
 
 use nalgebra::{Matrix3, Rotation3, Vector3};
 
-use super::motion::Motion;
-use super::ozden_independence::centered;
+use super::motion::{Motion, centered};
 use crate::math::symmetric_eigen;
 use crate::trajectory::ScaleError;
 

@@ -13,10 +13,16 @@
 
 use nalgebra::DMatrix;
 
-use super::motion::Motion;
-use super::ozden_independence::centered;
-use super::search::Grid;
-use crate::trajectory::ScaleError;
+use super::Estimate;
+use super::motion::{Motion, centered, positive};
+use crate::trajectory::{ScaleError, Views};
+
+/// Ratio of the flattest path.
+pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
+    let motion = Motion::new(views)?;
+    let guess = motion.contact()?;
+    motion.jackknifed(|motion| ratio(motion, guess))
+}
 
 /// r of the flattest path.
 pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
@@ -43,5 +49,30 @@ pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
         values.sort_by(|a, b| b.total_cmp(a));
         values[2] / values[1]
     };
-    Grid::FINE.least(guess, cost)
+    least(guess, cost)
+}
+
+/// The ratio of least cost, by golden section search between the neighbors of the best one of a grid that is even in the
+/// logarithm.
+///
+/// # Errors
+/// [`ScaleError::Undetermined`] if the cost is least at an end of the range: it has no minimum there.
+fn least(guess: f64, cost: impl Fn(f64) -> f64) -> Result<f64, ScaleError> {
+    // Contact of the lowest points, the guess, is a third off at most (the paper's own worst case); five is beyond any
+    // doubt. One percent from ratio to ratio sees every valley of a criterion; forty rounds narrow it by 10⁻⁸.
+    const FACTORS: [f64; 2] = [0.2, 5.0];
+    const NUM: usize = 321;
+    let [first, last] = FACTORS.map(f64::ln);
+    let ratio = |k: usize| guess * (first + (last - first) * k as f64 / (NUM - 1) as f64).exp();
+    let costs = (0..NUM).map(|k| (k, cost(ratio(k)))).filter(|(_, cost)| cost.is_finite());
+    let best = costs.min_by(|a, b| a.1.total_cmp(&b.1)).map(|(k, _)| k);
+    let Some(best) = best.filter(|k| (1..NUM - 1).contains(k)) else {
+        return Err(ScaleError::Undetermined("the cost is least at the end of the search range"));
+    };
+    let (mut low, mut high) = (ratio(best - 1), ratio(best + 1));
+    for _ in 0..40 {
+        let (a, b) = (low + 0.382 * (high - low), low + 0.618 * (high - low));
+        if cost(a) < cost(b) { high = b } else { low = a }
+    }
+    positive(0.5 * (low + high))
 }
