@@ -185,6 +185,15 @@ impl Reconstruction {
         Some(point.track.iter().map(error).collect::<Option<Vec<_>>>()?.into_iter().flatten().collect())
     }
 
+    /// Recomputes the mean reprojection errors of all points whose cameras are known.
+    pub fn renew_errors(&mut self) {
+        let error_of = |errors: Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
+        let errors: Vec<Option<f64>> = self.points.values().map(|point| self.errors_of(point).map(error_of)).collect();
+        for (point, error) in self.points.values_mut().zip(errors) {
+            point.error_px = error.unwrap_or(point.error_px);
+        }
+    }
+
     /// The images that this (background) and an object's reconstruction have in common, matched by name and in the
     /// order of this one's ids, with the frame that this one's id represents.
     pub fn paired_images<'a>(&'a self, object: &'a Self) -> Vec<(FrameId, &'a Image, &'a Image)> {

@@ -90,7 +90,7 @@ impl<'a> Adjustment<'a> {
         let lift = Vector3::z() * height - level * (center.coords * ratio);
         let mut object = evidence.object.clone();
         object.transform(&Sim3::new(ratio, level, lift));
-        let residuals = residuals(&object).flat_map(|(_, residual)| [residual.x.abs(), residual.y.abs()]).collect();
+        let residuals = residuals(&object).flat_map(|residual| [residual.x.abs(), residual.y.abs()]).collect();
         let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
         let contact_options = Body::of_class(&evidence.description.class).contact(&options.contact);

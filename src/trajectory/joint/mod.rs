@@ -22,7 +22,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use self::adjustment::Adjustment;
-use self::precision::{median_error_px, point_covariances, set_errors, uncertain_points};
+use self::precision::{median_error_px, point_covariances, uncertain_points};
 use self::surface::draw_onto_surface;
 use super::{Contact, ContactOptions, Evidence, Options, ScaleError, Views, object_center};
 use crate::checks::{Checked, OptionError, under, within};
@@ -144,7 +144,7 @@ pub fn joint(evidence: &Evidence, views: &Views, options: &Options) -> Result<Jo
     let deviations = draw_onto_surface(&mut object, &covariances, radius, options.smooth_surface);
     let uncertain = uncertain_points(&deviations, MAX_DEVIATION * radius, LEAST_SHARE);
     object.remove_points(&uncertain);
-    set_errors(&mut object);
+    object.renew_errors();
     let ratio = 1.0 / object_from_ground.scale;
     let (std, error_px, num_uncertain) = (shares.total() * ratio, [before_px, after_px], uncertain.len());
     Ok(Joint { object, ratio, std, shares, contact, error_px, num_uncertain })

@@ -7,12 +7,12 @@ use nalgebra::{Matrix3, Vector2};
 use crate::math::{median, symmetric_eigen};
 use crate::scene::{Image, Observation, Point3dId, Reconstruction};
 
-/// Every residual of image positions, pixels, with the point that it belongs to.
-pub(super) fn residuals(model: &Reconstruction) -> impl Iterator<Item = (Point3dId, Vector2<f64>)> {
+/// Every residual of image positions, pixels.
+pub(super) fn residuals(model: &Reconstruction) -> impl Iterator<Item = Vector2<f64>> {
     model.images.values().flat_map(move |image| {
         let residual = move |(id, observation): (Point3dId, &Observation)| {
             let in_cam = image.cam_from_world * model.points[&id].position;
-            Some((id, model.camera_of(image).pixel_from_cam(in_cam)? - observation.pixel))
+            Some(model.camera_of(image).pixel_from_cam(in_cam)? - observation.pixel)
         };
         points_of(model, image).filter_map(residual)
     })
@@ -20,22 +20,7 @@ pub(super) fn residuals(model: &Reconstruction) -> impl Iterator<Item = (Point3d
 
 /// Median length of the residuals, pixels.
 pub(super) fn median_error_px(model: &Reconstruction) -> Option<f64> {
-    median(residuals(model).map(|(_, residual)| residual.norm()).collect())
-}
-
-/// Mean reprojection errors of all points, as they are now.
-pub(super) fn set_errors(model: &mut Reconstruction) {
-    let mut sums: BTreeMap<Point3dId, (f64, f64)> = BTreeMap::new();
-    for (id, residual) in residuals(model) {
-        let (sum, count) = sums.entry(id).or_default();
-        *sum += residual.norm();
-        *count += 1.0;
-    }
-    for (id, (sum, count)) in sums {
-        if let Some(point) = model.points.get_mut(&id) {
-            point.error_px = sum / count;
-        }
-    }
+    median(residuals(model).map(|residual| residual.norm()).collect())
 }
 
 /// Covariance of every observed point's place, in squares of the model's unit, the poses taken as known. `None` where

@@ -5,7 +5,6 @@
 //! that of a jackknife of the logarithm of the ratio ([`jackknife_std`]). Derivation and calibration:
 //! docs/maths/scale.md.
 
-use std::collections::BTreeSet;
 use std::ops::Range;
 
 use super::adjustment::Adjustment;
@@ -22,7 +21,7 @@ const OBSERVATIONS_PER_FRAME: usize = 100;
 pub(super) fn over_frames(adjustment: &Adjustment) -> Option<f64> {
     let whole = thinned(&adjustment.object);
     let ids: Vec<ImageId> = whole.images.keys().copied().collect();
-    let without = |group: Range<usize>| without_images(&whole, &ids[group].iter().copied().collect());
+    let without = |group: Range<usize>| without_images(&whole, &ids[group]);
     let logs: Vec<f64> = jackknife_groups(ids.len()).filter_map(|group| log_size(adjustment, without(group))).collect();
     jackknife_std(&logs)
 }
@@ -48,17 +47,11 @@ fn log_size(adjustment: &Adjustment, object: Reconstruction) -> Option<f64> {
 }
 
 /// The object without some images and the points that fewer than three of the others observe.
-pub(super) fn without_images(object: &Reconstruction, gone: &BTreeSet<ImageId>) -> Reconstruction {
+pub(super) fn without_images(object: &Reconstruction, gone: &[ImageId]) -> Reconstruction {
     let mut out = object.clone();
-    out.images.retain(|id, _| !gone.contains(id));
-    let mut lost = Vec::new();
-    for (id, point) in &mut out.points {
-        point.track.retain(|element| !gone.contains(&element.image));
-        if point.track.len() < 3 {
-            lost.push(*id);
-        }
-    }
-    out.remove_points(&lost);
+    out.remove_images(gone);
+    let lost = out.points.iter().filter(|(_, point)| point.track.len() < 3).map(|(id, _)| *id);
+    out.remove_points(&lost.collect::<Vec<_>>());
     out
 }
 
@@ -79,7 +72,7 @@ mod tests {
     #[test]
     fn images_that_go_take_their_observations_along() {
         let object = drive(&Options { num_frames: 8, ..Options::default() }, 1).object;
-        let gone: BTreeSet<ImageId> = object.images.keys().copied().take(3).collect();
+        let gone: Vec<ImageId> = object.images.keys().copied().take(3).collect();
         let left = without_images(&object, &gone);
         assert_eq!(left.images.len(), object.images.len() - 3);
         assert!(!left.points.is_empty());

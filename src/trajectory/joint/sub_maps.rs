@@ -19,7 +19,7 @@ use crate::trajectory::{Body, Evidence, Options};
 pub(super) fn split(object: &Reconstruction) -> Vec<Reconstruction> {
     let gaps = object.gaps();
     let of = |id: &ImageId| gaps.partition_point(|gap| gap <= id);
-    let others = |k: usize| object.images.keys().filter(|id| of(id) != k).copied().collect();
+    let others = |k: usize| object.images.keys().filter(|id| of(id) != k).copied().collect::<Vec<_>>();
     (0..=gaps.len()).map(|k| without_images(object, &others(k))).collect()
 }
 
@@ -76,7 +76,7 @@ mod tests {
     #[test]
     fn a_map_is_split_where_frames_are_missing_and_hardly_a_track_leads_on() {
         let mut object = drive(&Options { num_frames: 40, ..Options::default() }, 1).object;
-        let hidden = (15..22).map(|frame| ImageId::from(FrameId(frame))).collect();
+        let hidden: Vec<ImageId> = (15..22).map(|frame| FrameId(frame).into()).collect();
         object = without_images(&object, &hidden);
         assert_eq!(split(&object), [object.clone()]);
         let is_before = |image: ImageId| image < ImageId::from(FrameId(15));

@@ -86,7 +86,7 @@ fn placed(
             path.display()
         )));
     }
-    renew_errors(&mut model);
+    model.renew_errors();
     Ok((model, remarks))
 }
 
@@ -111,14 +111,6 @@ fn without_size(place: &Path, format: Format, model: &Reconstruction) -> BTreeSe
     }
     let is_alone = |name: &str| !place.with_file_name("").join(name).is_file();
     model.images.values().filter(|image| is_alone(&image.name)).map(|image| image.camera).collect()
-}
-
-fn renew_errors(model: &mut Reconstruction) {
-    let error_of = |errors: Vec<f64>| errors.iter().sum::<f64>() / errors.len().max(1) as f64;
-    let errors: Vec<Option<f64>> = model.points.values().map(|point| Some(error_of(model.errors_of(point)?))).collect();
-    for (point, error) in model.points.values_mut().zip(errors) {
-        point.error_px = error.unwrap_or(point.error_px);
-    }
 }
 
 #[cfg(test)]
