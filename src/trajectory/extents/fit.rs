@@ -83,6 +83,8 @@ impl Reach {
 /// Best fit of a body.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Fit {
+    /// The shape.
+    pub(super) template: &'static Template,
     /// The unknowns.
     pub(super) value: Unknowns,
     /// Their covariance.
@@ -131,7 +133,12 @@ fn cost(residuals: &[f64], value: &Unknowns, expected: &Expected, weight: f64) -
 
 /// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it
 /// cannot be seen by all of them, or nothing is determined.
-pub(super) fn fit(template: &Template, sights: &[OutlineView], expected: &Expected, weight: f64) -> Option<Fit> {
+pub(super) fn fit(
+    template: &'static Template,
+    sights: &[OutlineView],
+    expected: &Expected,
+    weight: f64,
+) -> Option<Fit> {
     let corners = template.corners();
     let mut value = expected.value;
     let mut residual = residuals(&corners, sights, &value)?;
@@ -162,7 +169,7 @@ pub(super) fn fit(template: &Template, sights: &[OutlineView], expected: &Expect
         }
     }
     let misfit = residual.iter().map(|r| cauchy(*r) * r * r).sum::<f64>() / residual.len().max(1) as f64;
-    Some(Fit { value, covariance: normal.try_inverse()?, misfit, cost: now })
+    Some(Fit { template, value, covariance: normal.try_inverse()?, misfit, cost: now })
 }
 
 type Linear = (SMatrix<f64, NUM, NUM>, Unknowns);

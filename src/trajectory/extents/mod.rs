@@ -76,7 +76,8 @@ fn measured(subject: &Subject) -> Option<Extents> {
     let has_heading = start.has_heading;
     // Without a heading either of the two may be its front.
     let starts = if has_heading { vec![start] } else { vec![start.turned(), start] };
-    let fitted: Vec<_> = starts.iter().filter_map(|start| fits(subject, start)).collect();
+    let body = Body::of_class(&subject.trajectory.class);
+    let fitted: Vec<_> = starts.iter().filter_map(|start| fits(subject, start, body, None)).collect();
     let independent = fitted.first()?.1;
     let fits = Weighted::of(fitted.into_iter().flat_map(|(fits, _)| fits).collect(), independent)?;
     let scale = &subject.trajectory.scale;
@@ -84,46 +85,6 @@ fn measured(subject: &Subject) -> Option<Extents> {
     let estimate = |k: usize| logs.estimate(k, scale.ratio, scale.std.unwrap_or(0.0) / scale.ratio);
     let all = Extents { length: estimate(0), width: estimate(1), height: estimate(2), center: fits.center() };
     Some(if has_heading { all } else { logs.longer_first(all) })
-}
-
-/// A body of a vehicle's shape, fitted to the outlines of one map.
-#[derive(Clone, Debug)]
-pub(super) struct FittedBody {
-    template: &'static Template,
-    fit: Fit,
-    vehicle_from_object: Rigid3,
-}
-
-impl FittedBody {
-    /// The body that fits best; shape and size are those of `known` where given. `None` where the motion does not tell
-    /// the heading, or too few frames show the object.
-    pub(super) fn of(subject: &Subject, body: Body, known: Option<&Self>) -> Option<Self> {
-        let start = Start::of(subject).filter(|start| start.has_heading)?;
-        let sights = start.sights(subject);
-        let (weight, _) = weight_of(&sights)?;
-        let mut expected = start.expected(&sights);
-        for (known, k) in known.into_iter().flat_map(|known| (0..3).map(move |k| (known, k))) {
-            expected.value[k] = known.fit.value[k];
-            expected.std[k] = known.fit.covariance[(k, k)].sqrt();
-        }
-        let is_tried = |template: &&Template| known.is_none_or(|known| std::ptr::eq(known.template, *template));
-        let shapes = template::of_body(body).iter().filter(is_tried);
-        let fitted = shapes.filter_map(|template| Some((template, fit::fit(template, &sights, &expected, weight)?)));
-        let (template, fit) = fitted.min_by(|a, b| a.1.misfit.total_cmp(&b.1.misfit))?;
-        Some(Self { template, fit, vehicle_from_object: start.vehicle_from_object })
-    }
-
-    /// Standard deviation of the length, relative to it.
-    pub(super) fn length_std(&self) -> f64 {
-        self.fit.covariance[(0, 0)].sqrt()
-    }
-
-    /// From the body's frame (x forward, y left, z up, origin on the ground below its middle) to the map's.
-    pub(super) fn object_from_body(&self) -> Rigid3 {
-        let (value, axis) = (&self.fit.value, Vector3::z_axis());
-        let turned = UnitQuaternion::from_axis_angle(&axis, value[5]);
-        self.vehicle_from_object.inverse() * Rigid3::new(turned, Vector3::new(value[3], value[4], 0.0))
-    }
 }
 
 /// Weight of a line, and how many independent ones there are; `None` for too few frames.
@@ -134,15 +95,20 @@ fn weight_of(sights: &[OutlineView]) -> Option<(f64, f64)> {
     (sights.len() >= MIN_SIGHTS).then(|| ((independent / num_lines.max(1) as f64).min(1.0), independent))
 }
 
-/// Bodies of all shapes that the object may have, and how many independent lines they rest on; `None` where too few
-/// frames show the object.
-fn fits(subject: &Subject, start: &Start) -> Option<(Vec<PlacedFit>, f64)> {
+/// Bodies of all shapes that the object may have, and how many independent lines they rest on; shape and size are those
+/// of `known` where given. `None` where too few frames show the object.
+fn fits(subject: &Subject, start: &Start, body: Body, known: Option<&PlacedFit>) -> Option<(Vec<PlacedFit>, f64)> {
     let sights = start.sights(subject);
     let (weight, independent) = weight_of(&sights)?;
-    let expected = start.expected(&sights);
-    let shapes = template::of_body(Body::of_class(&subject.trajectory.class));
+    let mut expected = start.expected(&sights);
+    for (known, k) in known.into_iter().flat_map(|known| (0..3).map(move |k| (known, k))) {
+        expected.value[k] = known.fit.value[k];
+        expected.std[k] = known.fit.covariance[(k, k)].sqrt();
+    }
+    let is_tried = |shape: &&'static Template| known.is_none_or(|known| std::ptr::eq(known.fit.template, *shape));
     let object_from_vehicle = start.vehicle_from_object.inverse();
-    let fits = shapes.iter().filter_map(|shape| fit::fit(shape, &sights, &expected, weight));
+    let shapes = template::of_body(body).iter().filter(is_tried);
+    let fits = shapes.filter_map(|shape| fit::fit(shape, &sights, &expected, weight));
     Some((fits.map(|fit| PlacedFit { fit, object_from_vehicle }).collect(), independent))
 }
 
@@ -240,7 +206,9 @@ impl Start {
         // Frames that are looked at, at most, spread over all.
         let step = seen.len().div_ceil(60).max(1);
         let sight = |(image, outline): &(&Image, &Silhouette)| {
-            OutlineView::new(subject.object, image, outline, &self.points, &self.vehicle_from_object)
+            let camera = subject.object.projecting_camera(image)?;
+            let cam_from_vehicle = image.cam_from_world * self.vehicle_from_object.inverse();
+            OutlineView::new(camera, cam_from_vehicle, outline, &self.points)
         };
         seen.iter().step_by(step).filter_map(sight).collect()
     }
@@ -283,14 +251,34 @@ fn num_views(sights: &[OutlineView]) -> usize {
     distinct.len().max(1)
 }
 
-/// A body, and where the vehicle's frame is in that of the object.
+/// A body of a vehicle's shape that is fitted to the outlines of one map, and the vehicle's frame in that of the object.
 #[derive(Clone, Copy, Debug)]
-struct PlacedFit {
+pub(super) struct PlacedFit {
     fit: Fit,
     object_from_vehicle: Rigid3,
 }
 
 impl PlacedFit {
+    /// The body that fits best; shape and size are those of `known` where given. `None` where the motion does not show
+    /// the heading, or too few frames show the object.
+    pub(super) fn of(subject: &Subject, body: Body, known: Option<&Self>) -> Option<Self> {
+        let start = Start::of(subject).filter(|start| start.has_heading)?;
+        let (fits, _) = fits(subject, &start, body, known)?;
+        fits.into_iter().min_by(|a, b| a.fit.misfit.total_cmp(&b.fit.misfit))
+    }
+
+    /// Standard deviation of the length, relative to it.
+    pub(super) fn length_std(&self) -> f64 {
+        self.fit.covariance[(0, 0)].sqrt()
+    }
+
+    /// From the body's frame (x forward, y left, z up, origin on the ground below its middle) to the map's.
+    pub(super) fn object_from_body(&self) -> Rigid3 {
+        let (value, axis) = (&self.fit.value, Vector3::z_axis());
+        let turned = UnitQuaternion::from_axis_angle(&axis, value[5]);
+        self.object_from_vehicle * Rigid3::new(turned, Vector3::new(value[3], value[4], 0.0))
+    }
+
     /// Center of the body in the object's frame, and its covariance.
     fn center(&self) -> (Point3<f64>, Matrix3<f64>) {
         let Fit { value, covariance, .. } = &self.fit;

@@ -83,7 +83,7 @@ impl BodyOnGround {
         let placed: Vec<_> =
             stands.iter().zip(&places.all).filter_map(|(s, place)| Some((s, place.as_ref()?))).collect();
         let sight = |(stand, place): &(&Stand, &Rigid3)| {
-            OutlineView::in_camera(stand.camera, *stand.cam_from_world * **place, stand.outline, &[])
+            OutlineView::new(stand.camera, *stand.cam_from_world * **place, stand.outline, &[])
         };
         let step = placed.len().div_ceil(MAX_SIGHTS).max(1);
         let sights: Vec<OutlineView> = placed.iter().step_by(step).filter_map(sight).collect();

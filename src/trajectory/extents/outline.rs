@@ -4,7 +4,6 @@ use nalgebra::{Point3, Vector2, Vector3};
 
 use crate::camera::Camera;
 use crate::math::{Rigid3, quantile};
-use crate::scene::{Image, Reconstruction};
 use crate::trajectory::Silhouette;
 
 /// A line of the picture that touches the vehicle's outline from one side.
@@ -32,21 +31,8 @@ const DIRECTIONS: u32 = 16;
 
 impl OutlineView {
     /// From a frame's outline; `None` behind the camera. Lines beyond which the vehicle's own points lie are left out:
-    /// something hides it on that side.
+    /// something hides it on that side. Without points nothing is left out.
     pub(super) fn new(
-        object: &Reconstruction,
-        image: &Image,
-        outline: &Silhouette,
-        points_in_vehicle: &[Point3<f64>],
-        vehicle_from_object: &Rigid3,
-    ) -> Option<Self> {
-        let camera = object.projecting_camera(image)?;
-        let cam_from_vehicle = image.cam_from_world * vehicle_from_object.inverse();
-        Self::in_camera(camera, cam_from_vehicle, outline, points_in_vehicle)
-    }
-
-    /// The same of a camera and its pose; without points nothing is left out.
-    pub(super) fn in_camera(
         camera: &Camera,
         cam_from_vehicle: Rigid3,
         outline: &Silhouette,

@@ -121,12 +121,12 @@ fn bodies_of_two_sub_maps_tell_how_their_frames_are_related() {
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.1);
     let rear_from_side = Rigid3::new(turn, Vector3::new(0.7, -0.3, 0.0));
     let rear = world(&[165.0, 170.0, 175.0, 180.0, 185.0, 190.0, 195.0]).drive().in_frame(&rear_from_side);
-    let known = FittedBody::of(&side.subject(), Body::Car, None).unwrap();
-    let body = FittedBody::of(&rear.subject(), Body::Car, Some(&known)).unwrap();
+    let known = PlacedFit::of(&side.subject(), Body::Car, None).unwrap();
+    let body = PlacedFit::of(&rear.subject(), Body::Car, Some(&known)).unwrap();
     let found = body.object_from_body() * known.object_from_body().inverse();
     assert!((found.translation - rear_from_side.translation).xy().norm() < 0.1, "{found:?}");
     assert!(found.angle_to(&rear_from_side) < 0.02, "{found:?}");
-    assert!(FittedBody::of(&world(&[50.0, 60.0, 70.0]).subject(), Body::Car, None).is_none());
+    assert!(PlacedFit::of(&world(&[50.0, 60.0, 70.0]).subject(), Body::Car, None).is_none());
 }
 
 /// Returns true if an extent is right within two standard deviations and a tenth.

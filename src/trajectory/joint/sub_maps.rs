@@ -3,7 +3,7 @@
 //! After an occlusion a vehicle shows another side, and hardly a track leads from the frames before to those after it.
 //! Each sub-map is adjusted with the ground by itself, which determines its height, inclination and size. Relative
 //! position on the ground and heading follow from the outlines, which are those of one body: the body of the sub-map
-//! with the smallest standard deviation of the length is fitted to the outlines of the others ([`FittedBody`]). The
+//! with the smallest standard deviation of the length is fitted to the outlines of the others ([`PlacedFit`]). The
 //! joined map is then adjusted as a whole. Derivation: docs/maths/scale.md; evidence: decision 35.
 
 use nalgebra::{UnitQuaternion, Vector3};
@@ -12,7 +12,7 @@ use super::spread::without_images;
 use crate::math::Sim3;
 use crate::scene::{ImageId, ObjectId, Point3dId, Reconstruction, ScaleEstimate, ScaleMethod};
 use crate::trajectory::assemble::{ObjectDescription, assemble};
-use crate::trajectory::extents::{FittedBody, Subject};
+use crate::trajectory::extents::{PlacedFit, Subject};
 use crate::trajectory::{Body, Evidence, Options};
 
 /// Sub-maps of an object, in the order of their images; the object itself where no gap divides it.
@@ -55,16 +55,16 @@ pub(super) fn join(mut sub_maps: Vec<Reconstruction>, evidence: &Evidence, optio
 /// The body that fits the outlines of a sub-map, of the size of a known one where given.
 fn fitted_body(
     sub_map: &Reconstruction,
-    known: Option<&FittedBody>,
+    known: Option<&PlacedFit>,
     evidence: &Evidence,
     options: &Options,
-) -> Option<FittedBody> {
+) -> Option<PlacedFit> {
     let Evidence { background, planes, silhouettes, frames, .. } = *evidence;
     let body = Body::of_class(&evidence.description.class);
     let anonymous = ObjectDescription { id: ObjectId(0), class: String::new(), confidence: 1.0 };
     let scale = ScaleEstimate::new(1.0, ScaleMethod::Joint);
     let trajectory = &assemble(anonymous, background, sub_map, scale, frames);
-    FittedBody::of(&Subject { trajectory, object: sub_map, background, planes, silhouettes, options }, body, known)
+    PlacedFit::of(&Subject { trajectory, object: sub_map, background, planes, silhouettes, options }, body, known)
 }
 
 #[cfg(test)]
