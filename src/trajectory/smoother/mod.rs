@@ -16,7 +16,7 @@ mod tests;
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
 use self::track::{Kind, Observed, Track, is_at_rest, track};
-use self::travel::{Route, resolved_amount};
+use self::travel::resolved_amount;
 use crate::scene::{ContactError, Estimate, Motion, Movement};
 
 /// Where a vehicle was seen, in a frame in metres whose third axis points up.
@@ -98,11 +98,8 @@ pub struct Smoothed {
 ///
 /// A vehicle at rest is recognized by its positions alone, by the likelihood of rest and of motion.
 pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: Movement) -> Option<Smoothed> {
-    if sightings.len() < 4 || !sightings.iter().all(PositionMeasurement::is_usable) {
-        return None;
-    }
-    let origin = sightings[0].position_m;
     let in_motion = in_motion(sightings)?;
+    let origin = sightings[0].position_m;
     // Also of a vehicle at rest: a slow one that moves along with the camera has the same positions, for another error
     // of the ratio.
     let response = |errors: Vec<DVector<f64>>| in_motion.response(&errors);
@@ -118,12 +115,10 @@ pub fn smooth(sightings: &[PositionMeasurement], common: &CommonStd, movement: M
     let stands = rest.is_some();
     let positions = rest.unwrap_or(in_motion);
     let forward_std = forward_std(sightings, common.ratio).filter(|_| !stands);
-    let headings = forward_std.and_then(|_| headings(sightings));
-    let forward_std = forward_std.unwrap_or(FORWARD);
-    let all = Tracks { sightings, origin, positions, moved, headings, forward_std, scale_std: common.scale };
+    let headings = forward_std.and_then(|std| Some((headings(sightings)?, std)));
+    let all = Tracks { sightings, origin, positions, moved, headings, scale_std: common.scale };
     let motions: Vec<Motion> = (0..sightings.len()).map(|k| all.motion(k)).collect();
-    let route = Route { track: &all.positions, moved: &all.moved, scale_std: all.scale_std };
-    let (path_m, displacement_m) = (route.path(), route.displacement());
+    let (path_m, displacement_m) = (all.path(), all.displacement());
     let fastest = motions.iter().max_by(|a, b| a.speed_m_s.abs().total_cmp(&b.speed_m_s.abs()))?;
     let max_speed_m_s = resolved_amount(fastest.speed_m_s, fastest.speed_std_m_s);
     let lengths = [path_m, displacement_m, max_speed_m_s];
@@ -141,11 +136,8 @@ pub(super) struct Residual {
 
 /// The residuals of a moving vehicle; `None` as for [`smooth`].
 pub(super) fn residuals(sightings: &[PositionMeasurement]) -> Option<Vec<Residual>> {
-    if sightings.len() < 4 || !sightings.iter().all(PositionMeasurement::is_usable) {
-        return None;
-    }
-    let origin = sightings[0].position_m;
     let track = in_motion(sightings)?;
+    let origin = sightings[0].position_m;
     let residual = |(k, seen): (usize, &PositionMeasurement)| {
         let smoothed = track.states[k].mean.fixed_rows::<3>(0) + origin;
         Residual { distance_m: (seen.position_m - smoothed).norm(), deviation: track.squares[k].sqrt() }
@@ -153,9 +145,12 @@ pub(super) fn residuals(sightings: &[PositionMeasurement]) -> Option<Vec<Residua
     Some(sightings.iter().enumerate().map(residual).collect())
 }
 
-/// The positions of a vehicle that moves, relative to the first.
+/// The positions of a vehicle that moves, relative to the first; `None` as for [`smooth`].
 fn in_motion(sightings: &[PositionMeasurement]) -> Option<Track> {
-    let origin = sightings.first()?.position_m;
+    if sightings.len() < 4 || !sightings.iter().all(PositionMeasurement::is_usable) {
+        return None;
+    }
+    let origin = sightings[0].position_m;
     track(&sightings.iter().map(|s| s.observed(&origin)).collect::<Vec<_>>(), &MOVING)
 }
 
@@ -293,10 +288,11 @@ struct Tracks<'a> {
     sightings: &'a [PositionMeasurement],
     origin: Vector3<f64>,
     positions: Track,
-    /// Effects of the errors that all frames share on the states of `positions`.
+    /// Changes of every state of `positions` per standard deviation of each error that all frames share.
     moved: [Vec<DVector<f64>>; 2],
-    headings: Option<Track>,
-    forward_std: f64,
+    /// With the standard deviation of the model's forward axis, radians.
+    headings: Option<(Track, f64)>,
+    /// Standard deviation of the logarithm of meters per unit.
     scale_std: f64,
 }
 
@@ -341,7 +337,7 @@ impl Tracks<'_> {
     /// motion.
     fn direction(&self, k: usize, velocity: &Vector3<f64>) -> Vector3<f64> {
         let moving = velocity.try_normalize(1e-9).unwrap_or_else(Vector3::x);
-        let (Some(headings), Some(forward)) = (&self.headings, self.sightings[k].forward) else { return moving };
+        let (Some((headings, _)), Some(forward)) = (&self.headings, self.sightings[k].forward) else { return moving };
         let Some(forward) = forward.try_normalize(1e-9) else { return moving };
         let (sin, cos) = headings.states[k].mean[0].sin_cos();
         let level = forward.xy().norm();
@@ -351,9 +347,9 @@ impl Tracks<'_> {
     /// Where it points, radians to the left of the first axis, and the rate, each with its standard deviation: by the
     /// model; without it by the motion, where that is clear.
     fn heading(&self, k: usize, velocity: &Vector3<f64>, speed_std: f64) -> Option<([f64; 2], Option<[f64; 2]>)> {
-        if let Some(Track { states, .. }) = &self.headings {
+        if let Some((Track { states, .. }, forward_std)) = &self.headings {
             let std = |i: usize| states[k].covariance[(i, i)].max(0.0).sqrt();
-            return Some(([states[k].mean[0], std(0).hypot(self.forward_std)], Some([states[k].mean[1], std(1)])));
+            return Some(([states[k].mean[0], std(0).hypot(*forward_std)], Some([states[k].mean[1], std(1)])));
         }
         let level = velocity.xy().norm();
         let across = Vector3::new(-velocity.y, velocity.x, 0.0).try_normalize(1e-9).unwrap_or_else(Vector3::y);

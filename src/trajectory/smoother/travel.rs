@@ -14,18 +14,8 @@
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::CLEAR;
-use super::track::Track;
+use super::{CLEAR, Tracks};
 use crate::scene::Estimate;
-
-/// A smoothed trajectory of positions, metres, and how common errors move it.
-pub(super) struct Route<'a> {
-    pub(super) track: &'a Track,
-    /// Changes of every state per standard deviation of each error that all frames share.
-    pub(super) moved: &'a [Vec<DVector<f64>>],
-    /// Standard deviation of the logarithm of metres per unit.
-    pub(super) scale_std: f64,
-}
 
 /// Length of a vector whose components have the covariance given: corrected for noise where it is not resolved.
 fn resolved_length(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> Estimate {
@@ -51,7 +41,7 @@ fn std_along(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
     d.try_normalize(0.0).map_or(0.0, |u| (u.transpose() * covariance * u)[0].max(0.0).sqrt())
 }
 
-impl Route<'_> {
+impl Tracks<'_> {
     /// Path length, eq. 4.
     pub(super) fn path(&self) -> Estimate {
         let mut knots = self.resolved_knots();
@@ -59,19 +49,19 @@ impl Route<'_> {
         if knots.len() > 1 {
             knots.pop();
         }
-        knots.push(self.track.states.len() - 1);
+        knots.push(self.positions.states.len() - 1);
         if knots.len() == 2 { self.displacement() } else { self.length(&knots) }
     }
 
     /// From the first frame to the last in a straight line.
     pub(super) fn displacement(&self) -> Estimate {
-        let last = self.track.states.len() - 1;
+        let last = self.positions.states.len() - 1;
         let covariance = self.covariances_from(0).last().unwrap_or_else(Matrix3::zeros);
         self.with_scale(resolved_length(&self.step(0, last), &covariance))
     }
 
     fn position(&self, k: usize) -> Vector3<f64> {
-        self.track.states[k].mean.fixed_rows::<3>(0).into_owned()
+        self.positions.states[k].mean.fixed_rows::<3>(0).into_owned()
     }
 
     /// By each of the shared errors.
@@ -89,11 +79,11 @@ impl Route<'_> {
 
     /// Covariances of the displacements from one frame to each later one, without the share of metres per unit.
     fn covariances_from(&self, from: usize) -> impl Iterator<Item = Matrix3<f64>> + '_ {
-        let states = &self.track.states;
+        let states = &self.positions.states;
         let position_block = |m: &DMatrix<f64>| m.fixed_view::<3, 3>(0, 0).into_owned();
         let mut gain: Option<DMatrix<f64>> = None;
         (from + 1..states.len()).map(move |k| {
-            let step = &self.track.gains[k - 1];
+            let step = &self.positions.gains[k - 1];
             // Rows of the position alone: Cov(x_from, x_k) = G_from … G_{k−1} Cov(x_k).
             let product = gain.take().map_or_else(|| step.rows(0, 3).into_owned(), |before| before * step);
             let cross = position_block(&(&product * &states[k].covariance));
@@ -121,7 +111,7 @@ impl Route<'_> {
 
     /// Of a chain of resolved segments.
     fn length(&self, knots: &[usize]) -> Estimate {
-        let mut gradient = vec![Vector3::zeros(); self.track.states.len()];
+        let mut gradient = vec![Vector3::zeros(); self.positions.states.len()];
         let mut value = 0.0;
         for pair in knots.windows(2) {
             let d = self.step(pair[0], pair[1]);
@@ -141,7 +131,7 @@ impl Route<'_> {
     /// Variance of Σ gₖᵀ xₖ over the positions xₖ: the smoother's backward chain x_k = G_k x_{k+1} + e_k is passed
     /// forwards, so that each eₖ counts once.
     fn variance(&self, gradient: &[Vector3<f64>]) -> f64 {
-        let states = &self.track.states;
+        let states = &self.positions.states;
         let size = states[0].mean.len();
         let mut weight = DVector::zeros(size);
         let mut variance = 0.0;
@@ -150,7 +140,7 @@ impl Route<'_> {
             head += g;
             let of = |weight: &DVector<f64>, k: usize| weight.dot(&(&states[k].covariance * weight));
             variance += of(&weight, k);
-            if let Some(gain) = self.track.gains.get(k) {
+            if let Some(gain) = self.positions.gains.get(k) {
                 weight = gain.transpose() * weight;
                 variance -= of(&weight, k + 1);
             }
