@@ -22,11 +22,8 @@ pub enum Scope {
     Roughly,
     /// The same, but no view turns.
     Positions,
-    /// All views, and in each about so many points: the longest tracks of every part of the image.
-    Selected {
-        /// Points per view.
-        per_view: usize,
-    },
+    /// All views, and in each about [`POINTS_PER_VIEW`] points: the longest tracks of every part of the image.
+    Selected,
     /// A view, those that share most points with it, and the points that these see; the others are held.
     Around(usize),
     /// Some views of a long video, and the points that these see.
@@ -57,7 +54,7 @@ impl Scope {
     fn limits(&self, options: &Options) -> (usize, f64) {
         match self {
             Self::Stretch(stretch) => stretch.scope.limits(options),
-            Self::Everything | Self::Points | Self::Selected { .. } => (30, 1e-6),
+            Self::Everything | Self::Points | Self::Selected => (30, 1e-6),
             Self::Roughly | Self::Positions => (30, options.coarse_tolerance),
             Self::Around(_) => (10, 1e-4),
         }
@@ -117,7 +114,7 @@ pub fn adjust(
     noise: Noise,
     options: &Options,
 ) -> Result<Vec<bool>, MapperError> {
-    let (tracks, free_views) = taking_part(map, scope, options);
+    let (tracks, free_views) = taking_part(map, scope);
     let mut freedom = intrinsics.of_cameras(map);
     let ties = Ties::of(scope, options);
     let (max_iterations, function_tolerance) = scope.limits(options);
@@ -147,7 +144,7 @@ fn hold_odd_lenses(freedom: &mut [Freedom], problem: &Problem) -> bool {
 }
 
 /// Which points take part in a scope, by track, and which views are free.
-fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (Vec<bool>, Vec<bool>) {
+fn taking_part(map: &Map<'_>, scope: &Scope) -> (Vec<bool>, Vec<bool>) {
     let mut tracks = vec![false; map.tracks.len()];
     let mut free_views = vec![true; map.poses.len()];
     match scope {
@@ -155,13 +152,13 @@ fn taking_part(map: &Map<'_>, scope: &Scope, options: &Options) -> (Vec<bool>, V
             tracks.iter_mut().enumerate().for_each(|(t, used)| *used = map.point(t).is_some());
             free_views.fill(!matches!(scope, Scope::Points));
         }
-        Scope::Selected { per_view } => select_tracks(map, *per_view, map.registered(), &mut tracks),
+        Scope::Selected => select_tracks(map, map.registered(), &mut tracks),
         Scope::Stretch(stretch) => {
             free_views = (0..map.poses.len()).map(|view| stretch.views.contains(&view)).collect();
             select_of_stretch(map, stretch, &mut tracks);
         }
         Scope::Around(view) => {
-            free_views = neighbourhood(map, *view, options.local_views);
+            free_views = neighbourhood(map, *view);
             for v in (0..free_views.len()).filter(|&v| free_views[v]) {
                 map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true);
             }
@@ -206,12 +203,16 @@ impl Ties {
     }
 }
 
+/// Free views of a local adjustment.
+const LOCAL_VIEWS: usize = 6;
+/// Points per view in global adjustments of the growing map; the last ones use all.
+const POINTS_PER_VIEW: usize = 250;
 /// Views that hold a point in a local adjustment. More would hold it no better, and take most of the time.
 const MOST_HELD: usize = 8;
 
 /// The problem of an adjustment.
 pub(super) fn build(map: &Map<'_>, scope: &Scope, intrinsics: Freedom, noise: Noise, options: &Options) -> Problem {
-    let (tracks, free_views) = taking_part(map, scope, options);
+    let (tracks, free_views) = taking_part(map, scope);
     build_with(map, &tracks, &free_views, &intrinsics.of_cameras(map), noise, &Ties::of(scope, options)).0
 }
 
@@ -289,7 +290,7 @@ fn take_over(map: &mut Map<'_>, problem: &Problem, parts: &Parts) {
 }
 
 /// A view and the others that share most points with it.
-fn neighbourhood(map: &Map<'_>, view: usize, count: usize) -> Vec<bool> {
+fn neighbourhood(map: &Map<'_>, view: usize) -> Vec<bool> {
     let mut shared = vec![0usize; map.poses.len()];
     for s in map.visible(view) {
         for (_, other, _) in map.observations(s.track as usize) {
@@ -300,7 +301,7 @@ fn neighbourhood(map: &Map<'_>, view: usize, count: usize) -> Vec<bool> {
     order.sort_by_key(|&v| (usize::MAX - shared[v], v));
     let mut chosen = vec![false; shared.len()];
     chosen[view] = true;
-    order.into_iter().take(count.saturating_sub(1)).for_each(|v| chosen[v] = true);
+    order.into_iter().take(LOCAL_VIEWS - 1).for_each(|v| chosen[v] = true);
     chosen
 }
 
@@ -308,7 +309,7 @@ fn neighbourhood(map: &Map<'_>, view: usize, count: usize) -> Vec<bool> {
 fn select_of_stretch(map: &Map<'_>, stretch: &Stretch, tracks: &mut [bool]) {
     let views: Vec<usize> = map.registered().filter(|view| stretch.views.contains(view)).collect();
     match *stretch.scope {
-        Scope::Selected { per_view } => select_tracks(map, per_view, views.into_iter(), tracks),
+        Scope::Selected => select_tracks(map, views.into_iter(), tracks),
         _ => views.iter().for_each(|&v| map.visible(v).iter().for_each(|s| tracks[s.track as usize] = true)),
     }
     let counted = |track: usize| map.observations(track).filter(|(_, view, _)| stretch.counted.contains(view));
@@ -329,8 +330,7 @@ pub(super) fn cell_of(pixel: Point2<f64>, camera: &Camera) -> usize {
 
 /// Marks, for every one of some registered views, the longest tracks in each cell of a grid over its image, until it
 /// has enough.
-fn select_tracks(map: &Map<'_>, per_view: usize, views: impl Iterator<Item = usize>, selected: &mut [bool]) {
-    let per_cell = (per_view / NUM_CELLS).max(1);
+fn select_tracks(map: &Map<'_>, views: impl Iterator<Item = usize>, selected: &mut [bool]) {
     let length: Vec<usize> = (0..selected.len()).map(|track| map.observations(track).count()).collect();
     for view in views {
         let camera = map.camera_of(view);
@@ -341,7 +341,7 @@ fn select_tracks(map: &Map<'_>, per_view: usize, views: impl Iterator<Item = usi
         }
         for mut cell in cells {
             cell.sort_by_key(|&track| (!selected[track], usize::MAX - length[track], track));
-            cell.into_iter().take(per_cell).for_each(|track| selected[track] = true);
+            cell.into_iter().take(POINTS_PER_VIEW / NUM_CELLS).for_each(|track| selected[track] = true);
         }
     }
     // An object fills a few cells of the grid: below this number of points selection saves nothing worth having.

@@ -175,8 +175,8 @@ impl<'a> Probe<'a> {
             (Scope::Stretch(stretch), time)
         };
         let parts = match windows::is_long(map, options) {
-            true => windows::apart(map, options).into_iter().map(in_time).collect(),
-            false => vec![(Scope::Selected { per_view: options.growth_points_per_view }, [0.0, 1.0])],
+            true => windows::apart(map).into_iter().map(in_time).collect(),
+            false => vec![(Scope::Selected, [0.0, 1.0])],
         };
         Self { parts, noise: Some(sigma_px), options }
     }

@@ -80,27 +80,12 @@ pub struct Options {
     pub max_pose_error_px: f64,
     /// Maximum reprojection error of an observation.
     pub max_error_px: f64,
-    /// Maximum reprojection error over the measured noise, for ordered views.
-    #[schemars(extend("unit" = "standard deviations"))]
-    pub max_error_sigmas: f64,
     /// Reprojection error below which no observation is rejected.
     pub min_error_px: f64,
     /// Minimum triangulation angle of a point at focal lengths up to 1536 px; smaller in proportion beyond.
     pub min_angle_deg: f64,
     /// Scale of the robust loss before the noise is measured.
     pub loss_scale_px: f64,
-    /// Scale of the robust loss over the measured noise.
-    #[schemars(extend("unit" = "standard deviations"))]
-    pub loss_sigmas: f64,
-    /// Free views of a local bundle adjustment.
-    #[schemars(extend("unit" = "views"))]
-    pub local_views: usize,
-    /// Growth of the number of views that triggers a global bundle adjustment.
-    #[schemars(extend("unit" = "factor"))]
-    pub global_growth: f64,
-    /// Points per view in global adjustments of the growing map; the last ones use all.
-    #[schemars(extend("unit" = "points"))]
-    pub growth_points_per_view: usize,
     /// Maximum number of initialization attempts.
     #[schemars(extend("unit" = "starts"))]
     pub max_starts: usize,
@@ -120,6 +105,10 @@ pub struct Options {
     pub max_views_at_once: usize,
 }
 
+/// Maximum reprojection error over the measured noise, for ordered views.
+const MAX_ERROR_SIGMAS: f64 = 8.0;
+/// Scale of the robust loss over the measured noise.
+const LOSS_SIGMAS: f64 = 2.0;
 /// Scale of the loss below which a residual is rounding; a smaller one would only slow the solver down.
 const MIN_LOSS_SCALE_PX: f64 = 0.02;
 
@@ -133,14 +122,9 @@ impl Options {
             min_inlier_ratio: 0.2,
             max_pose_error_px: 4.0,
             max_error_px: 3.0,
-            max_error_sigmas: 8.0,
             min_error_px: 0.4,
             min_angle_deg: 1.0,
             loss_scale_px: 1.0,
-            loss_sigmas: 2.0,
-            local_views: 6,
-            global_growth: 1.3,
-            growth_points_per_view: 250,
             max_starts: 3,
             pose_priors: true,
             ordered: true,
@@ -159,7 +143,6 @@ impl Options {
             min_inlier_ratio: 0.25,
             max_pose_error_px: 3.0,
             max_error_px: 2.0,
-            min_angle_deg: 1.0,
             ..Self::background()
         }
     }
@@ -175,15 +158,10 @@ impl Options {
         within("min_inlier_ratio", self.min_inlier_ratio, 0.0..=1.0)?;
         within("max_pose_error_px", self.max_pose_error_px, 0.01..=1000.0)?;
         within("max_error_px", self.max_error_px, 0.01..=1000.0)?;
-        within("max_error_sigmas", self.max_error_sigmas, 0.1..=1000.0)?;
         within("min_error_px", self.min_error_px, 0.001..=1000.0)?;
         ordered(("min_error_px", self.min_error_px), ("max_error_px", self.max_error_px))?;
         within("min_angle_deg", self.min_angle_deg, 0.0..=90.0)?;
         within("loss_scale_px", self.loss_scale_px, MIN_LOSS_SCALE_PX..=1000.0)?;
-        within("loss_sigmas", self.loss_sigmas, 0.01..=1000.0)?;
-        within("local_views", self.local_views, 1..=10_000)?;
-        within("global_growth", self.global_growth, 1.01..=1000.0)?;
-        within("growth_points_per_view", self.growth_points_per_view, 1..=1_000_000)?;
         within("max_starts", self.max_starts, 1..=1000)?;
         within("max_track_views", self.max_track_views, 4..=1_000_000_000)?;
         within("coarse_tolerance", self.coarse_tolerance, 1e-12..=0.1)?;
@@ -201,14 +179,14 @@ impl Options {
 
     /// Limits of inlier observations at a noise.
     fn limits(&self, noise: Noise) -> Limits {
-        let of_noise = |sigma_px: f64| (self.max_error_sigmas * sigma_px).clamp(self.min_error_px, self.max_error_px);
+        let of_noise = |sigma_px: f64| (MAX_ERROR_SIGMAS * sigma_px).clamp(self.min_error_px, self.max_error_px);
         let max_error_px = noise.filter(|_| self.ordered).map_or(self.max_error_px, of_noise);
         Limits { max_error_px, min_angle: self.min_angle_deg.to_radians() }
     }
 
     /// The loss of bundle adjustment at a noise.
     fn loss(&self, noise: Noise) -> RobustLoss {
-        let of_noise = |sigma_px: f64| (self.loss_sigmas * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px);
+        let of_noise = |sigma_px: f64| (LOSS_SIGMAS * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px);
         let scale = noise.map_or(self.loss_scale_px, of_noise);
         RobustLoss::SoftL1 { scale }
     }

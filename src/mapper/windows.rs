@@ -78,29 +78,14 @@ pub fn ends(map: &Map<'_>, known: &Range<usize>) -> Vec<Range<usize>> {
     ends
 }
 
-/// Adjusts one of them; what is next to it is held.
-pub fn adjust_end(
-    map: &mut Map<'_>,
-    views: Range<usize>,
-    noise: Noise,
-    options: &Options,
-) -> Result<Vec<bool>, MapperError> {
-    let stretch = Stretch { views, counted: 0..usize::MAX, scope: growth_scope(options) };
-    adjustment::adjust(map, &Scope::Stretch(stretch), Freedom::Nothing, noise, options)
-}
-
-fn growth_scope(options: &Options) -> Box<Scope> {
-    Box::new(Scope::Selected { per_view: options.growth_points_per_view })
-}
-
 /// Stretches of a map that share no observation, on some points in every part of every view; of one that is not long
 /// there is one.
-pub fn apart(map: &Map<'_>, options: &Options) -> Vec<Stretch> {
+pub fn apart(map: &Map<'_>) -> Vec<Stretch> {
     let views: Vec<usize> = map.registered().collect();
     let count = (views.len() / WINDOW).max(1);
     let place = |k: usize| k * views.len() / count;
     let ends = (0..count).map(|k| views[place(k)]..views[place(k + 1) - 1] + 1);
-    ends.map(|range| Stretch { views: range.clone(), counted: range, scope: growth_scope(options) }).collect()
+    ends.map(|range| Stretch { views: range.clone(), counted: range, scope: Box::new(Scope::Selected) }).collect()
 }
 
 /// A view at the end of a window, as it was, and how deep its points lay.
@@ -230,7 +215,7 @@ pub fn refine_lens(map: &mut Map<'_>, freedom: Freedom, noise: Noise, options: &
         bundle::Options { loss, max_iterations: 20, function_tolerance: 1e-5, ..bundle::Options::default() };
     let here = map.cameras[0];
     let mut all: Option<LensEvidence> = None;
-    for stretch in apart(map, options) {
+    for stretch in apart(map) {
         let mut problem = adjustment::build(map, &Scope::Stretch(stretch), freedom, noise, options);
         problem.priors.intrinsics.clear();
         let evidence = all.get_or_insert_with(|| LensEvidence::none(0, &problem));
@@ -318,7 +303,7 @@ mod tests {
         let table = table(&camera, &poses);
         let mut map = Map::new(&table, &[camera], Intrinsics::GUESSED.into());
         (0..1100).filter(|view| view % 10 != 3).for_each(|view| map.poses[view] = Some(poses[view]));
-        let stretches = apart(&map, &Options::background());
+        let stretches = apart(&map);
         assert_eq!(stretches.len(), 2);
         assert!(stretches.iter().all(|stretch| stretch.views == stretch.counted));
         assert_eq!((stretches[0].views.start, stretches[1].views.end), (0, 1100));

@@ -33,16 +33,8 @@ pub struct ContactOptions {
     /// Median absolute deviations from the median beyond which a point does not count, along any axis.
     #[schemars(extend("unit" = "median absolute deviations"))]
     pub max_deviation: f64,
-    /// The lowest part of the points, which represents the outline on the ground.
-    #[schemars(extend("unit" = "share of the height"))]
-    pub lowest_part: f64,
-    /// Of these, the share up to the outermost of a side: a mirror or a stray point is further out.
-    #[schemars(extend("unit" = "share"))]
-    pub within: f64,
-    /// Sine of the least angle between the line of sight, seen from above, and the vehicle's axis.
-    #[schemars(extend("unit" = "sine"))]
-    pub least_side_view: f64,
-    /// Sine of the most angle between the two up to which the vehicle is seen from the front or the rear.
+    /// Sine of the most angle between the line of sight, seen from above, and the vehicle's axis, up to which the
+    /// vehicle is seen from the front or the rear.
     #[schemars(extend("unit" = "sine"))]
     pub most_end_view: f64,
     /// Fewest frames that show a side, or an end.
@@ -68,9 +60,6 @@ impl Default for ContactOptions {
         Self {
             min_track: 6,
             max_deviation: 6.0,
-            lowest_part: 0.3,
-            within: 0.95,
-            least_side_view: 0.5,
             min_frames: 5,
             best_share: 0.5,
             side: [0.04, 0.02],
@@ -89,9 +78,6 @@ impl ContactOptions {
     pub fn check(&self) -> Checked {
         within("min_track", self.min_track, 2..=1_000_000)?;
         within("max_deviation", self.max_deviation, 0.1..=1000.0)?;
-        within("lowest_part", self.lowest_part, 0.01..=1.0)?;
-        within("within", self.within, 0.0..=1.0)?;
-        within("least_side_view", self.least_side_view, 0.0..=1.0)?;
         within("min_frames", self.min_frames, 1..=1_000_000)?;
         within("best_share", self.best_share, 0.01..=1.0)?;
         within("most_end_view", self.most_end_view, 0.0..=1.0)?;
@@ -109,6 +95,12 @@ fn check_height(key: &str, [mean, std]: [f64; 2]) -> Checked {
     inside(within(key, std, 1e-6..=10.0), "the standard deviation")
 }
 
+/// The lowest part of the points, which represents the outline on the ground, as a share of the height.
+const LOWEST_PART: f64 = 0.3;
+/// Share of these up to the outermost of a side: a mirror or a stray point is further out.
+const OUTERMOST: f64 = 0.95;
+/// Sine of the least angle between the line of sight, seen from above, and the vehicle's axis.
+const LEAST_SIDE_VIEW: f64 = 0.5;
 /// Distance from the outermost lower points within which the others of that side lie, as a share of the height: noise
 /// moves the outermost 0.05 to 0.21 out on rendered cars (decision 37).
 const SIDE_DEPTH: f64 = 0.2;
@@ -153,7 +145,7 @@ pub fn contact(
     let mut heights: Vec<f64> = points.iter().map(|p| p.z).collect();
     let [low, high] = quantile_range(&mut heights, 0.01)?;
     let extent = high - low;
-    let limit = low + options.lowest_part * extent;
+    let limit = low + LOWEST_PART * extent;
     let feet: Vec<Point3<f64>> = points.iter().filter(|p| p.z < limit).copied().collect();
     let center = centroid(&points);
     let view = LowerEdge { object, feet: &feet, middle: Point3::new(center.x, center.y, low), extent, options };
@@ -166,7 +158,7 @@ pub fn contact(
     let across = Vector3::new(-ahead.y, ahead.x, 0.0);
     let sine = |sight: &Vector2<f64>| sight.perp(&ahead.xy()).abs();
     // The two tires of the side that is seen, else those of the front or the rear.
-    let shows_side = |sight: &Vector2<f64>| sine(sight) >= options.least_side_view;
+    let shows_side = |sight: &Vector2<f64>| sine(sight) >= LEAST_SIDE_VIEW;
     let shows_end = |sight: &Vector2<f64>| sine(sight) <= options.most_end_view;
     let of_side = view.below_tyres(&seen, shows_side, [&ahead, &across], options.side);
     let of_end = || view.below_tyres(&seen, shows_end, [&across, &ahead], options.overhang);
@@ -238,7 +230,7 @@ impl LowerEdge<'_> {
     fn side(&self, outward: &Vector3<f64>, line: &Vector3<f64>) -> Vec<Point3<f64>> {
         let outermost = |direction: &Vector3<f64>| {
             let mut offsets: Vec<f64> = self.feet.iter().map(|foot| direction.dot(&foot.coords)).collect();
-            quantile(&mut offsets, self.options.within).unwrap_or(f64::NEG_INFINITY)
+            quantile(&mut offsets, OUTERMOST).unwrap_or(f64::NEG_INFINITY)
         };
         let edges = [*outward, *line, -line].map(|direction| (direction, outermost(&direction)));
         let depth = |foot: &Point3<f64>, k: usize| (edges[k].1 - edges[k].0.dot(&foot.coords)) / self.extent;

@@ -9,7 +9,7 @@ mod new_camera;
 mod pose_outliers;
 mod pose_priors;
 
-use super::adjustment::{self, Freedom, Scope};
+use super::adjustment::{self, Freedom, Scope, Stretch};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, ModelWeakness};
@@ -21,6 +21,8 @@ pub use pose_priors::PosePriors;
 
 /// Relative standard deviation of a focal length beyond which it counts as poorly determined.
 const LOOSE: f64 = 0.01;
+/// Growth of the number of views that triggers a global bundle adjustment.
+const GLOBAL_GROWTH: f64 = 1.3;
 
 /// A map, what has been tried on it, and how to go on.
 #[derive(Clone)]
@@ -246,7 +248,7 @@ impl<'a> IncrementalMapper<'a> {
 
     fn has_grown(&self) -> bool {
         let (before, now) = (self.adjusted_at, self.map.num_registered());
-        now as f64 >= self.options.global_growth * before as f64 || (now >= before + windows::STEP && self.is_long())
+        now as f64 >= GLOBAL_GROWTH * before as f64 || (now >= before + windows::STEP && self.is_long())
     }
 
     /// Adjusts everything; of a long map, what it has grown by.
@@ -256,7 +258,10 @@ impl<'a> IncrementalMapper<'a> {
         }
         let limits = self.limits();
         for views in windows::ends(&self.map, &self.adjusted_views) {
-            let used = windows::adjust_end(&mut self.map, views.clone(), self.noise, self.options)?;
+            // What is next to them is held.
+            let scope = Box::new(Scope::Selected);
+            let scope = Scope::Stretch(Stretch { views: views.clone(), counted: 0..usize::MAX, scope });
+            let used = adjustment::adjust(&mut self.map, &scope, Freedom::Nothing, self.noise, self.options)?;
             self.map.renew(views, &limits, &used);
         }
         self.note_adjusted();
@@ -271,8 +276,7 @@ impl<'a> IncrementalMapper<'a> {
 
     fn adjust_globally(&mut self) -> Result<(), MapperError> {
         let limits = self.limits();
-        let scope = Scope::Selected { per_view: self.options.growth_points_per_view };
-        let used = self.adjust(&scope, self.freedom)?;
+        let used = self.adjust(&Scope::Selected, self.freedom)?;
         self.map.retriangulate(&limits, &used);
         self.map.triangulate_all(&limits);
         self.map.update_observations(&limits);
