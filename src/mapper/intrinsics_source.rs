@@ -81,34 +81,26 @@ impl Default for Intrinsics {
     }
 }
 
-/// The same of every camera of a table of tracks.
+/// The same of every camera of a table of tracks; that of the last one holds for all further cameras.
 #[derive(Clone, Debug, PartialEq)]
-pub enum KnownIntrinsics {
-    /// Alike of all.
-    OfAll(Intrinsics),
-    /// By camera; those beyond the last are guessed.
-    OfEach(Vec<Intrinsics>),
-}
+pub struct KnownIntrinsics(Vec<Intrinsics>);
 
 impl From<Intrinsics> for KnownIntrinsics {
     fn from(all: Intrinsics) -> Self {
-        Self::OfAll(all)
+        Self(vec![all])
     }
 }
 
 impl From<Vec<Intrinsics>> for KnownIntrinsics {
     fn from(each: Vec<Intrinsics>) -> Self {
-        Self::OfEach(each)
+        Self(each)
     }
 }
 
 impl KnownIntrinsics {
     /// Prior knowledge of a camera.
     pub fn of(&self, camera: usize) -> Intrinsics {
-        match self {
-            Self::OfAll(known) => *known,
-            Self::OfEach(each) => each.get(camera).copied().unwrap_or(Intrinsics::GUESSED),
-        }
+        self.0.get(camera).or(self.0.last()).copied().unwrap_or(Intrinsics::GUESSED)
     }
 
     /// Prior knowledge of the less known of two cameras.

@@ -117,21 +117,15 @@ impl Motion {
 
     /// The motion without the frames of a range.
     fn without(&self, left_out: std::ops::Range<usize>) -> Self {
-        fn kept<T: Clone>(all: &[T], left_out: &std::ops::Range<usize>) -> Vec<T> {
-            all.iter().enumerate().filter(|(k, _)| !left_out.contains(k)).map(|(_, value)| value.clone()).collect()
+        let mut rest = self.clone();
+        for numbers in [&mut rest.times, &mut rest.heights, &mut rest.height_stds, &mut rest.lowest] {
+            numbers.drain(left_out.clone());
         }
-        Self {
-            times: kept(&self.times, &left_out),
-            centers: kept(&self.centers, &left_out),
-            offsets: kept(&self.offsets, &left_out),
-            rotations: kept(&self.rotations, &left_out),
-            normals: kept(&self.normals, &left_out),
-            heights: kept(&self.heights, &left_out),
-            height_stds: kept(&self.height_stds, &left_out),
-            lowest: kept(&self.lowest, &left_out),
-            tall: self.tall,
-            length: self.length,
+        for vectors in [&mut rest.centers, &mut rest.offsets, &mut rest.normals] {
+            vectors.drain(left_out.clone());
         }
+        rest.rotations.drain(left_out);
+        rest
     }
 
     /// An estimate with its standard deviation: that of a jackknife of log r.

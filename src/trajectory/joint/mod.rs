@@ -101,9 +101,7 @@ pub struct Joint {
     pub object: Reconstruction,
     /// r, for this reconstruction.
     pub ratio: f64,
-    /// Its standard deviation, as far as the adjustment itself knows: without focal length and other methods.
-    pub std: f64,
-    /// Where that comes from.
+    /// Sources of its standard deviation, as far as the adjustment itself knows: without focal length and other methods.
     pub shares: ScaleShares,
     /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
     /// outlines' contradiction to the planes.
@@ -146,8 +144,8 @@ pub fn joint(evidence: &Evidence, views: &Views, options: &Options) -> Result<Jo
     object.remove_points(&uncertain);
     object.renew_errors();
     let ratio = 1.0 / object_from_ground.scale;
-    let (std, error_px, num_uncertain) = (shares.total() * ratio, [before_px, after_px], uncertain.len());
-    Ok(Joint { object, ratio, std, shares, contact, error_px, num_uncertain })
+    let (error_px, num_uncertain) = ([before_px, after_px], uncertain.len());
+    Ok(Joint { object, ratio, shares, contact, error_px, num_uncertain })
 }
 
 /// Adjusts every sub-map by itself, where there are several, and joins them.

@@ -76,7 +76,7 @@ fn drift_is_taken_out_and_the_deviation_is_honest() {
         let found = solve(&world, &drifted(&world, 0.03), &silhouettes(&world)).unwrap();
         let error = error(&world, &found);
         assert!(error.abs() < 0.015 && found.contact.num_frames > 20, "seed {seed}: {error}, {found:?}");
-        let std = found.std / found.ratio;
+        let std = found.shares.total();
         assert!((1e-4..0.02).contains(&std), "{std}");
         squares += (error / std).powi(2) / 5.0;
     }
@@ -92,7 +92,7 @@ fn outlines_determine_what_parallel_motion_does_not() {
         assert!(error.abs() < 0.02, "seed {seed}: {error}");
         // Without outlines the lowest points are left to go by, and that is less sure.
         let guessed = solve(&world, &world.object, &BTreeMap::new()).unwrap();
-        assert!(guessed.contact.num_frames == 0 && guessed.std / guessed.ratio > found.std / found.ratio);
+        assert!(guessed.contact.num_frames == 0 && guessed.shares.total() > found.shares.total());
     }
 }
 

@@ -24,26 +24,18 @@ pub(super) struct Class {
 
 /// Typical sizes of a class, by its name in a detector's list.
 pub(super) fn of(name: &str) -> Class {
-    let class = |name, height_m, heights_m, lengths_m, longest_in_heights| Class {
-        name,
-        height_m,
-        heights_m,
-        lengths_m,
-        longest_in_heights,
-    };
-    match name {
-        "car" => class("car", 1.53, [1.15, 2.1], [2.5, 5.8], 5.0),
-        "van" => class("van", 2.21, [1.6, 3.1], [3.6, 7.5], 4.7),
+    let (name, height_m, heights_m, lengths_m, longest_in_heights) = match name {
+        "car" => ("car", 1.53, [1.15, 2.1], [2.5, 5.8], 5.0),
+        "van" => ("van", 2.21, [1.6, 3.1], [3.6, 7.5], 4.7),
         // Detectors call pickups lorries, too.
-        "truck" | "lorry" | "trailer" | "caravan" => class("lorry", 2.6, [1.6, 4.0], [4.5, 18.75], 6.3),
-        "bus" => class("bus", 3.1, [2.3, 4.4], [5.5, 18.75], 6.5),
-        "motorcycle" | "motor" | "motorbike" | "bicycle" | "rider" => {
-            class("two-wheeler", 1.6, [0.9, 2.1], [1.4, 2.7], 3.0)
-        }
-        "train" | "tram" => class("tram", 3.53, [2.8, 4.6], [8.0, 400.0], 133.0),
-        "person" | "pedestrian" | "people" => class("person", 1.7, [0.9, 2.1], [0.3, 1.2], 1.2),
-        _ => class("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75], 6.5),
-    }
+        "truck" | "lorry" | "trailer" | "caravan" => ("lorry", 2.6, [1.6, 4.0], [4.5, 18.75], 6.3),
+        "bus" => ("bus", 3.1, [2.3, 4.4], [5.5, 18.75], 6.5),
+        "motorcycle" | "motor" | "motorbike" | "bicycle" | "rider" => ("two-wheeler", 1.6, [0.9, 2.1], [1.4, 2.7], 3.0),
+        "train" | "tram" => ("tram", 3.53, [2.8, 4.6], [8.0, 400.0], 133.0),
+        "person" | "pedestrian" | "people" => ("person", 1.7, [0.9, 2.1], [0.3, 1.2], 1.2),
+        _ => ("vehicle", 1.7, [0.9, 4.4], [1.4, 18.75], 6.5),
+    };
+    Class { name, height_m, heights_m, lengths_m, longest_in_heights }
 }
 
 impl Class {
