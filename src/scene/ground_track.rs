@@ -42,10 +42,16 @@ impl ContactError {
         Matrix3::from_fn(|row, column| self.noise[row][column])
     }
 
+    /// Covariance of the errors that frames do not have in common.
+    pub fn frame_covariance(&self) -> Matrix3<f64> {
+        let drift = Vector3::from(self.drift);
+        self.noise() + drift * drift.transpose()
+    }
+
     /// Covariance of all parts.
     pub fn covariance(&self) -> Matrix3<f64> {
         let outer = |v: [f64; 3]| Vector3::from(v) * Vector3::from(v).transpose();
-        self.noise() + outer(self.drift) + outer(self.common) + outer(self.focal)
+        self.frame_covariance() + outer(self.common) + outer(self.focal)
     }
 
     /// The same error with standard deviations so many times as large.
@@ -206,7 +212,7 @@ impl GroundTrack {
         }
     }
 
-    /// Corners of a vehicle at rest around the median of its positions, in the background's frame, counterclockwise seen
+    /// Corners of a vehicle at rest around the median of its positions, in the background's frame, counterclockwise
     /// from above; `None` without length, width and axis.
     pub fn footprint(&self, frame: &MetricFrame) -> Option<[Point3<f64>; 4]> {
         let Dimensions { length_m, width_m, .. } = self.dimensions?;

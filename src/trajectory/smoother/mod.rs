@@ -190,6 +190,14 @@ impl PositionMeasurement {
         }
     }
 
+    /// Covariance of a single contact point without the errors that all frames share; none of a model's position.
+    fn single_error(&self) -> Matrix3<f64> {
+        match self.error {
+            PositionError::Model { .. } => Matrix3::zeros(),
+            PositionError::Contact(error) => error.frame_covariance(),
+        }
+    }
+
     fn is_usable(&self) -> bool {
         let forward = self.forward.unwrap_or_default();
         let error = match self.error {

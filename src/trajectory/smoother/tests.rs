@@ -116,6 +116,24 @@ fn a_focal_length_stretches_paths_and_speeds() {
     assert!(found.path_m.std > 0.9 * share * found.path_m.value, "{:?}", found.path_m);
 }
 
+/// The mask of a parked vehicle that changes slowly, by two standard deviations of a position to either side.
+#[test]
+fn a_mask_that_changes_slowly_drives_nowhere() {
+    let seen = |sighting: PositionMeasurement| {
+        let wobble = Vector3::new(0.0, 0.2 * (std::f64::consts::TAU * sighting.time_s / 6.0).sin(), 0.0);
+        let error = ContactError {
+            noise: [0, 1, 2].map(|k| [0, 1, 2].map(|l| if k == l { 0.01 } else { 0.0 })),
+            ..ContactError::default()
+        };
+        let (position_m, error) = (Vector3::new(20.0, 3.0, 0.0) + wobble, PositionError::Contact(error));
+        PositionMeasurement { position_m, camera_m: Vector3::zeros(), forward: None, error, ..sighting }
+    };
+    let parked: Vec<PositionMeasurement> = standing(60).into_iter().map(seen).collect();
+    let found = super::smooth(&parked, &KNOWN, Movement::Undetermined).unwrap();
+    assert_eq!(found.path_m, found.displacement_m);
+    assert!(found.path_m.value < 0.1, "{:?}", found.path_m);
+}
+
 #[test]
 fn a_standing_vehicle_stands() {
     for motion in smooth(&standing(60), &KNOWN).unwrap() {

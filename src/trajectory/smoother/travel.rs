@@ -9,7 +9,8 @@
 //! ```
 //!
 //! with g = ∂L/∂x̂, the posterior covariance between all frames, the scale ratio's standard deviation σ_r and that of
-//! metres per unit σ_s (of logarithms). A single segment that is not resolved, ‖d‖ ≤ 3 σ(d), has the length
+//! metres per unit σ_s (of logarithms). Of contact points, σ(d) contains the errors of both points as well: masks
+//! change slowly, which smoothing takes for motion. A single segment that is not resolved, ‖d‖ ≤ 3 σ(d), has the length
 //! √max(0, ‖d‖² − tr Cov(d)): of a vehicle at rest E‖d‖² is tr Cov(d). docs/maths/smoother.md, section *Travel*.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
@@ -100,7 +101,11 @@ impl Tracks<'_> {
         let mut from = 0;
         let next = |from: usize| {
             let mut later = (from + 1..).zip(self.covariances_from(from));
-            later.find(|(k, covariance)| is_resolved(&self.step(from, *k), covariance)).map(|(k, _)| k)
+            let single = |k: usize| self.sightings[k].single_error();
+            let is_clear = |&(k, covariance): &(usize, Matrix3<f64>)| {
+                is_resolved(&self.step(from, k), &(covariance + single(from) + single(k)))
+            };
+            later.find(is_clear).map(|(k, _)| k)
         };
         while let Some(k) = next(from) {
             knots.push(k);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_1_SQRT_2;
 
-use nalgebra::{Matrix3, Point3, Vector3};
+use nalgebra::{Point3, Vector3};
 
 use super::placed::{Placing, metric_of, span};
 use super::vehicles::{in_metres, size_of_body};
@@ -163,11 +163,9 @@ impl Placing<'_> {
 fn worst_deviation(measured: &[PositionMeasurement], found: &Smoothed) -> f64 {
     let off = |(seen, motion): (&PositionMeasurement, &Motion)| {
         let PositionError::Contact(error) = seen.error else { return 0.0 };
-        let drift = Vector3::from(error.drift);
-        let covariance: Matrix3<f64> = error.noise() + drift * drift.transpose();
         let residual = seen.position_m - Vector3::from(motion.smoothed_position_m);
         let along = residual.try_normalize(0.0).unwrap_or_default();
-        let std = along.dot(&(covariance * along)).max(0.0).sqrt();
+        let std = along.dot(&(error.frame_covariance() * along)).max(0.0).sqrt();
         if std > 0.0 { residual.norm() / std } else { 0.0 }
     };
     let mut all: Vec<f64> = measured.iter().zip(&found.motions).map(off).collect();
