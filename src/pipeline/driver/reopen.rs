@@ -14,7 +14,7 @@ use crate::pipeline::{Completion, Options, PipelineError, Result};
 use crate::scene::Frame;
 use crate::video::Source;
 
-/// What is read of `run.json`.
+/// Content of `run.json` that commands read.
 #[derive(Deserialize)]
 pub(in crate::pipeline) struct RunJson {
     pub(in crate::pipeline) arguments: Vec<String>,

@@ -52,8 +52,8 @@ pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
     least(guess, cost)
 }
 
-/// The ratio of least cost, by golden section search between the neighbors of the best one of a grid that is even in the
-/// logarithm.
+/// The ratio of least cost, by golden section search between the neighbors of the best one of a grid that is even in
+/// the logarithm.
 ///
 /// # Errors
 /// [`ScaleError::Undetermined`] if the cost is least at an end of the range: it has no minimum there.

@@ -251,7 +251,7 @@ fn num_views(sights: &[OutlineView]) -> usize {
     distinct.len().max(1)
 }
 
-/// A body of a vehicle's shape that is fitted to the outlines of one map, and the vehicle's frame in that of the object.
+/// A body of a vehicle's shape that is fitted to the outlines of one map, and the vehicle's frame in the object's.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlacedFit {
     fit: Fit,

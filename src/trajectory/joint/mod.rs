@@ -101,7 +101,7 @@ pub struct Joint {
     pub object: Reconstruction,
     /// r, for this reconstruction.
     pub ratio: f64,
-    /// Sources of its standard deviation, as far as the adjustment itself knows: without focal length and other methods.
+    /// Sources of its standard deviation that the adjustment itself knows: without focal length and other methods.
     pub shares: ScaleShares,
     /// Where the vehicle touches the ground, relative to it and in units of the background: what is left of the
     /// outlines' contradiction to the planes.

@@ -80,7 +80,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// What follows points on the background; points of the vehicles are followed on the way.
+/// The front end of the background, and the masks outside of which it follows points.
 struct Background {
     front_end: FrontEnd,
     camera_of: BTreeMap<FrameId, usize>,

@@ -31,13 +31,14 @@ pub(super) fn align(
     outcome: &mut Outcome,
 ) -> Option<Aligned> {
     let aligned = try_align(run, background, ground, telemetry, outcome);
-    let aligned = aligned.map_err(|reason| outcome.warn(does_not_fit(telemetry, "scale", &reason))).ok()?;
+    let aligned =
+        aligned.map_err(|reason| outcome.warn(does_not_fit(telemetry, "positions give no scale:", &reason))).ok()?;
     describe(&aligned.alignment, outcome);
     Some(aligned)
 }
 
-fn does_not_fit(telemetry: &Telemetry, what: &str, reason: &str) -> Warning {
-    let text = format!("{}: positions give no {what}: {reason}", telemetry.path.display());
+fn does_not_fit(telemetry: &Telemetry, problem: &str, reason: &str) -> Warning {
+    let text = format!("{}: {problem} {reason}", telemetry.path.display());
     Topic::TelemetryDoesNotFit.warning(text)
 }
 
@@ -85,7 +86,7 @@ pub(super) fn hovering(
     });
     let station = telemetry.and_then(|log| {
         let found = hovering::station(run, background, log);
-        found.map_err(|reason| outcome.warn(does_not_fit(log, "map", &reason))).ok()
+        found.map_err(|reason| outcome.warn(does_not_fit(log, "positions give no map:", &reason))).ok()
     });
     let of_height =
         station.as_ref().zip(ground.height().ok()).and_then(|(station, height)| station.source_of_height(&height));
