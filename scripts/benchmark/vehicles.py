@@ -77,10 +77,15 @@ def seed_spread(entries: list[dict[str, Any]]) -> str:
     return f"{max(spreads):.2f}, {statistics.median(spreads):.2f} %" if spreads else "–"
 
 
-def registered(entries: list[dict[str, Any]]) -> str:
-    """Share of the frames with a clear view of the vehicle in which it has a pose."""
-    visible = sum(e["registered"]["num_clear"] or e["registered"]["num_visible"] for e in entries)
-    found = sum(e["registered"]["num_object_clear"] or e["registered"]["num_object"] for e in entries)
+def placed(entries: list[dict[str, Any]]) -> str:
+    """Share of the frames with a clear view of the vehicle in which it has a position."""
+
+    def frames(registered: dict[str, Any]) -> tuple[int, int]:
+        if registered["num_clear"] is None:
+            return registered["num_object"], registered["num_visible"]
+        return registered["num_placed_clear"], registered["num_clear"]
+
+    found, visible = (sum(numbers) for numbers in zip(*(frames(e["registered"]) for e in entries), strict=True))
     return f"{100 * found / max(visible, 1):.1f} %"
 
 
@@ -96,7 +101,7 @@ ROWS: dict[str, Callable[[list[dict[str, Any]]], str]] = {
     ),
     "within 1, 2, 3 σ": coverage,
     "between seeds, max and median": seed_spread,
-    "clear frames registered": registered,
+    "clear frames with a position": placed,
     "CPU of objects and scale, ms per frame": lambda found: f"{statistics.mean(e['cost_ms'] for e in found):.1f}",
 }
 

@@ -94,6 +94,9 @@ pub struct RegisteredFrames {
     /// Those of `num_clear` with a camera in the target's model.
     #[serde(default)]
     pub num_object_clear: Option<usize>,
+    /// Those of `num_clear` with a position in the target's trajectory.
+    #[serde(default)]
+    pub num_placed_clear: Option<usize>,
     /// Those of `num_visible` with both cameras.
     pub num_both: usize,
     /// Background images that are no frame of the sequence.

@@ -122,6 +122,7 @@ fn registered_frames(input: &Input, object: Option<&ObjectInput>) -> RegisteredF
     let in_background = |id: &FrameId| input.background.as_ref().is_ok_and(|m| m.cam_from_world.contains_key(id));
     let model = object.and_then(|o| o.model.as_ref().ok());
     let in_object = |id: &FrameId| model.is_some_and(|m| m.cam_from_world.contains_key(id));
+    let is_placed = |id: &FrameId| object.is_some_and(|o| o.placements.contains_key(id));
     let visible: Vec<_> = input.frames.iter().filter(|(_, f)| f.target_px2 > 0).map(|(id, _)| id).collect();
     let is_clear = |f: &TruthFrame| f.visible_share.map(|share| share >= CLEAR_SHARE);
     let clear: Option<Vec<_>> = input.frames.iter().map(|(id, f)| Some((id, is_clear(f)?))).collect();
@@ -137,7 +138,8 @@ fn registered_frames(input: &Input, object: Option<&ObjectInput>) -> RegisteredF
         num_object,
         object_fraction: fraction(num_object, visible.len()),
         num_clear: clear.as_ref().map(Vec::len),
-        num_object_clear: clear.map(|clear| clear.into_iter().filter(|id| in_object(id)).count()),
+        num_object_clear: clear.as_ref().map(|clear| clear.iter().filter(|id| in_object(id)).count()),
+        num_placed_clear: clear.map(|clear| clear.into_iter().filter(|id| is_placed(id)).count()),
         num_both: visible.iter().filter(|id| in_object(id) && in_background(id)).count(),
         unmatched: input.background.as_ref().map_or(Vec::new(), |m| m.unmatched.clone()),
     }

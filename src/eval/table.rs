@@ -25,6 +25,7 @@ impl Evaluation {
         row("object frames", fraction(registered.num_object, registered.num_visible));
         if let (Some(num), Some(of)) = (registered.num_object_clear, registered.num_clear) {
             row("  at least 30 % of it visible", fraction(num, of));
+            row("    with a position", fraction(registered.num_placed_clear.unwrap_or(0), of));
         }
         row(
             "target",

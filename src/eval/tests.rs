@@ -207,8 +207,10 @@ fn frames_that_show_enough_of_the_target_are_counted_where_the_sequence_says_whi
     }
     let model = input.objects[0].model.as_mut().unwrap();
     model.cam_from_world.retain(|id, _| id.0 != 2 && id.0 != 10);
+    input.objects[0].placements.retain(|id, _| id.0 < 18);
     let registered = evaluate(&input).registered;
     assert_eq!((registered.num_clear, registered.num_object_clear), (Some(15), Some(14)));
+    assert_eq!(registered.num_placed_clear, Some(13), "5 to 17");
     assert_eq!((registered.num_visible, registered.num_object), (20, 18));
 }
 
