@@ -25,7 +25,9 @@ impl Evaluation {
         row("object frames", fraction(registered.num_object, registered.num_visible));
         if let (Some(num), Some(of)) = (registered.num_object_clear, registered.num_clear) {
             row("  at least 30 % of it visible", fraction(num, of));
-            row("    with a position", fraction(registered.num_placed_clear.unwrap_or(0), of));
+            if let Some(num) = registered.num_placed_clear {
+                row("    with a position", fraction(num, of));
+            }
         }
         row(
             "target",

@@ -11,7 +11,7 @@ use image::{ExtendedColorType, ImageDecoder, ImageEncoder};
 
 use super::{IoError, atomic};
 use crate::files;
-use crate::scene::{LabelMap, Mask};
+use crate::scene::{LabelMap, MAX_MASK_PIXELS, Mask};
 
 /// Reads a label map: 0 is background, k is object (or class) k. `frame_size` is the width and height of its frame.
 ///
@@ -64,7 +64,7 @@ fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<LabelMap, IoErr
     if let Some(expected) = frame_size.filter(|expected| *expected != size) {
         return Err(IoError::WrongSize { path: path.into(), expected, found: size });
     }
-    if u64::from(width) * u64::from(height) > MAX_PIXELS {
+    if u64::from(width) * u64::from(height) > MAX_MASK_PIXELS {
         return Err(IoError::content(path, format!("{width}×{height} pixels are too many for a mask")));
     }
     let mut labels = vec![0; width as usize * height as usize];
@@ -78,9 +78,6 @@ fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<LabelMap, IoErr
     }
     Ok(LabelMap { width, height, labels })
 }
-
-/// Far beyond any frame of a video; keeps a hostile header from filling the memory.
-const MAX_PIXELS: u64 = 1 << 28;
 
 /// Bits per pixel, 1 or 8, by the PNG header itself: the decoder would stretch 2 and 4 bits to eight, and labels with
 /// them.

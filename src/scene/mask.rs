@@ -26,8 +26,8 @@ struct Runs {
     runs: Vec<u32>,
 }
 
-/// Most pixels of a mask: a damaged file must not fill the memory.
-const MAX_PIXELS: u64 = 1 << 28;
+/// Most pixels of a mask: far beyond any frame of a video; keeps a damaged or hostile file from filling the memory.
+pub const MAX_MASK_PIXELS: u64 = 1 << 28;
 
 impl From<Mask> for Runs {
     fn from(mask: Mask) -> Self {
@@ -50,7 +50,7 @@ impl TryFrom<Runs> for Mask {
         }
         let total: u64 = runs.iter().map(|&run| u64::from(run)).sum();
         let area = u64::from(window.width()) * u64::from(window.height());
-        if total != area || area > MAX_PIXELS {
+        if total != area || area > MAX_MASK_PIXELS {
             return Err("runs do not fill the window of a mask");
         }
         let pixels = runs.iter().enumerate().flat_map(|(k, &run)| std::iter::repeat_n(k % 2 == 1, run as usize));

@@ -9,6 +9,7 @@ use crate::trajectory::{self, BodyOnGround, ContactEvidence, FocalError, Silhoue
 
 /// Share of a vehicle's frames that its trajectory must cover to need no ground track besides: less is an excerpt.
 const MOSTLY: f64 = 0.5;
+
 /// A ground track, and the body of its vehicle.
 type OnGround = (GroundTrack, Option<BodyOnGround>);
 
