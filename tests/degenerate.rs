@@ -499,7 +499,7 @@ proptest! {
         let subject = Subject { trajectory, object, background, planes, silhouettes: &silhouettes, options: &options };
         prop_finite!(trajectory::extents(&subject));
         let tracked = None::<&TrackedObject>;
-        let candidate = Candidate { trajectory, tracked, object, background, planes, level: None, options: &options };
+        let candidate = Candidate { trajectory, tracked, object, background, planes };
         prop_finite!(trajectory::verdicts(&[candidate; 3], TimeBase::Seconds, &[]));
     }
 

@@ -145,8 +145,6 @@ fn place(
         object: &placed.object,
         background: &map.model,
         planes: &planes,
-        level: None,
-        options: &options.scale,
     };
     if found.scale.degenerate {
         return Ok(without_model(*id, &"the scale ratio is not determined"));

@@ -28,7 +28,7 @@ pub use rigid3::Rigid3;
 pub use robust_loss::RobustLoss;
 pub use sim3::Sim3;
 pub use statistics::{
-    JACKKNIFE_GROUPS, RAYLEIGH_MEDIAN, STD_PER_MAD, at_least, bin, jackknife_groups, jackknife_std, lower_quantile,
-    median, quantile, quantile_range, student_4, upper_median,
+    JACKKNIFE_GROUPS, RAYLEIGH_MEDIAN, STD_PER_MAD, bin, jackknife_groups, jackknife_std, lower_quantile, median,
+    quantile, quantile_range, student_4, upper_median,
 };
 pub(crate) use wxyz::MAX_UNIT_ERROR;

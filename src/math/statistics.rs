@@ -69,11 +69,6 @@ pub fn jackknife_std(values: &[f64]) -> Option<f64> {
     (values.len() >= 3).then(|| ((count - 1.0) / count * squares).sqrt())
 }
 
-/// A standard deviation, raised to the least one. One that is no number stays none: `f64::max` would hide it.
-pub fn at_least(least: f64, std: f64) -> f64 {
-    if std < least { least } else { std }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -108,11 +103,5 @@ mod tests {
         let found = jackknife_std(&numbers.map(|x| (5.0 * mean - x) / 4.0));
         assert!((found.unwrap() - of_mean).abs() < 1e-12);
         assert_eq!(jackknife_std(&[0.1, 0.2]), None);
-    }
-
-    #[test]
-    fn a_deviation_that_is_no_number_is_not_raised() {
-        assert!(at_least(0.05, f64::NAN).is_nan());
-        assert_eq!([0.01, 0.2, f64::INFINITY].map(|std| at_least(0.05, std)), [0.05, 0.2, f64::INFINITY]);
     }
 }

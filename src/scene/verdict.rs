@@ -29,8 +29,6 @@ pub enum ReasonKind {
     Determined,
     /// The standard deviation of the scale ratio.
     Deviation,
-    /// Agreement of other methods on the scale ratio.
-    Agreement,
     /// Constancy of the video's focal length.
     FocalLength,
     /// Number of the object's points, and of frames in which it has a position.

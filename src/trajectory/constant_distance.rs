@@ -20,9 +20,7 @@
 //!   used; beyond [`MAX_RATIOS`] the spread is taken over every k-th point only. The final least squares uses all
 //!   points. Both limits are far above 60 frames.
 
-use super::least_squares::LEAST_STD;
 use super::{Estimate, LeastSquares, Options, ScaleError, View, Views, least_squares};
-use crate::math::at_least;
 
 /// Most view pairs that are ranked: all of 600 frames, a quarter of a second.
 const MAX_PAIRS: usize = 200_000;
@@ -76,13 +74,6 @@ pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, Sca
     let found = constant_distance(views)?;
     let all_frames = least_squares(views, &options.least_squares).ok();
     Ok(Estimate::new(found.ratio, all_frames.map(|fit| found.std(&fit, views, found.ratio))))
-}
-
-/// Relative standard deviation in a verdict.
-pub(super) fn std_in_verdict(ratio: f64, views: &Views, options: &Options) -> Option<f64> {
-    let all_frames = least_squares(views, &options.least_squares).ok()?;
-    let pair = constant_distance(views).ok()?;
-    Some(at_least(LEAST_STD, pair.std(&all_frames, views, ratio) / ratio))
 }
 
 fn numerator(first: &View, second: &View) -> f64 {

@@ -18,7 +18,7 @@
 use nalgebra::Point3;
 
 use super::{ScaleError, View, Views};
-use crate::math::{STD_PER_MAD, at_least, median};
+use crate::math::median;
 use crate::scene::FrameId;
 
 /// The answer of the baseline.
@@ -42,14 +42,6 @@ pub fn intersection(views: &Views) -> Result<Intersection, ScaleError> {
     let ratios = per_frame.iter().map(|(_, ratio)| *ratio).collect();
     let ratio = median(ratios).ok_or(ScaleError::NoIntersection { num_views: views.views.len() })?;
     Ok(Intersection { ratio, per_frame })
-}
-
-/// Relative standard deviation in a verdict: the spread of the frames' ratios.
-pub(super) fn std_in_verdict(ratio: f64, views: &Views) -> Option<f64> {
-    let found = intersection(views).ok()?;
-    let off = found.per_frame.iter().map(|(_, own)| (own / ratio - 1.0).abs()).collect();
-    // The lowest points lie somewhere between tire and sill.
-    Some(at_least(0.15, STD_PER_MAD * median(off)?))
 }
 
 /// The ratio that sets the object down on the plane of one frame; `None` where no ray meets it.

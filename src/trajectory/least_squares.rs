@@ -33,11 +33,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 use super::{Estimate, Options, ScaleError, Views};
-use crate::math::{STD_PER_MAD, at_least, centroid, median};
-
-/// Relative standard deviation that a ratio from the camera's climb does not undercut in a verdict: errors of planes
-/// and tracks that are common to all frames.
-pub(super) const LEAST_STD: f64 = 0.05;
+use crate::math::{STD_PER_MAD, centroid, median};
 
 /// Frames before and after one with whose median it is compared: slow drift is common to them, a wrong plane is not.
 const NEIGHBORS: usize = 5;
@@ -114,11 +110,6 @@ pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, Sca
         return Err(ScaleError::NotPositive { num_views: views.views.len(), ratio });
     }
     Ok(Estimate::new(ratio, Some(std)))
-}
-
-/// Relative standard deviation in a verdict.
-pub(super) fn std_in_verdict(ratio: f64, views: &Views, options: &Options) -> Option<f64> {
-    least_squares(views, &options.least_squares).ok().map(|fit| at_least(LEAST_STD, fit.std / ratio))
 }
 
 /// Data of the fit, by view.

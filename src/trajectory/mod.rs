@@ -71,6 +71,6 @@ pub use least_squares::{LeastSquares, LeastSquaresOptions, least_squares};
 pub use place::{Adjustment, AdjustmentFigures, DroppedFrames, Evidence, ModelOrigin, PlacedObject, place};
 pub use relative_motion::{RelativeMotion, motion_by_shaking};
 pub use smoother::{CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
-pub use stationary::{LevelledPlanes, place_stationary, planes_at_level};
+pub use stationary::place_stationary;
 pub use verdict::{Candidate, verdicts, with_reason};
 pub use views::{View, Views};

@@ -1,16 +1,12 @@
 //! Stationary vehicles that the cameras of the background reconstruct.
 
-use std::collections::BTreeMap;
-
 use nalgebra::{Matrix3, Vector3};
 
 use super::place::{Adjustment, DroppedFrames, Evidence, PlacedObject};
 use super::pose_error::MIN_PIXEL_STD;
-use super::verdict::bottom_height;
 use crate::math::{median, widest_angle};
 use crate::scene::{
-    CameraPathRatio, FrameId, GroundPlane, ImageId, ObjectPose, Point3d, Ratios, Reconstruction, ScaleEstimate,
-    ScaleMethod, ScaleShares,
+    CameraPathRatio, ImageId, ObjectPose, Point3d, Ratios, Reconstruction, ScaleEstimate, ScaleMethod, ScaleShares,
 };
 
 /// A stationary vehicle whose points were triangulated from the background's cameras: its model is in the background's
@@ -64,44 +60,6 @@ pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f6
     Some(PlacedObject { object, adjustment, trajectory: Ok(trajectory), pose_covariances, dropped })
 }
 
-/// The local planes moved down to the lowest points of a stationary vehicle; `None` where these are not below them by
-/// two standard deviations of both. Points above a plane are no reason: the lowest ones of a vehicle are often hidden.
-///
-/// For vehicles that are known to be stationary without the ground: what is visible of the ground near the camera may
-/// be at another level than that below the vehicle (a terrace, a kerb).
-///
-/// * `placed` – by [`place_stationary`].
-pub fn planes_at_level(evidence: &Evidence, placed: &PlacedObject) -> Option<LevelledPlanes> {
-    let trajectory = placed.trajectory.as_ref().ok()?;
-    let log_ratio_std = trajectory.scale.std?;
-    let bottom = |pose: &ObjectPose| {
-        let plane = evidence.planes.get(&pose.frame)?;
-        let camera = evidence.background.images.get(&ImageId::from(pose.frame))?.cam_from_world.center();
-        let std = plane.height_std.hypot(log_ratio_std * plane.signed_distance(camera));
-        Some((pose.frame, bottom_height(plane, pose, &placed.object)?, std))
-    };
-    let bottoms: Vec<(FrameId, f64, f64)> = trajectory.poses.iter().filter_map(bottom).collect();
-    let height = median(bottoms.iter().map(|(_, height, _)| *height).collect())?;
-    let std = median(bottoms.iter().map(|(.., std)| *std).collect())?;
-    // The ground below a stationary vehicle is the same in all frames, other than its planes.
-    let own: BTreeMap<FrameId, f64> = bottoms.iter().map(|&(frame, height, _)| (frame, height)).collect();
-    let moved = |(&frame, plane): (&FrameId, &GroundPlane)| {
-        let point = plane.point + plane.normal * own.get(&frame).copied().unwrap_or(height);
-        (frame, GroundPlane { point, height_std: std, common_height_std: std, ..*plane })
-    };
-    let planes = || evidence.planes.iter().map(moved).collect();
-    (height < -2.0 * std).then(|| LevelledPlanes { planes: planes(), height })
-}
-
-/// Local planes at the height at which a vehicle stands.
-#[derive(Clone, Debug)]
-pub struct LevelledPlanes {
-    /// By frame, in the frame of the background.
-    pub planes: BTreeMap<FrameId, GroundPlane>,
-    /// Their median height over the planes before, units of the background.
-    pub height: f64,
-}
-
 /// The model with its points moved along their rays by what is known of a vehicle: it is about as deep as wide.
 ///
 /// Depths of single points are poor where the camera moves little. With q_j the inverse distance of a point from the
@@ -144,10 +102,12 @@ fn widest_angle_of(point: &Point3d, object: &Reconstruction) -> f64 {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::BTreeMap;
+
     use nalgebra::Point3;
 
     use super::*;
-    use crate::scene::ObjectId;
+    use crate::scene::{FrameId, GroundPlane, ObjectId};
     use crate::synthetic::drive::Drive;
     use crate::trajectory::assemble::object_center;
     use crate::trajectory::relative_motion::tests::shaken;
@@ -188,27 +148,6 @@ mod tests {
         let (scale, path) = (&trajectory.scale, trajectory.scale.camera_path.unwrap());
         assert!(scale.ratio == 1.0 && scale.std.unwrap() < 0.02 && !scale.degenerate, "{scale:?}");
         assert_eq!(Ok(path.ratio_without), by_ground.trajectory.map(|trajectory| trajectory.scale.ratio));
-    }
-
-    #[test]
-    fn planes_of_another_level_are_moved_to_where_a_parked_vehicle_stands() {
-        let (world, object) = shaken(0.0, 1.0);
-        let none = BTreeMap::new();
-        let lifted = |height: f64| -> BTreeMap<FrameId, GroundPlane> {
-            let lift = |plane: &GroundPlane| GroundPlane { point: plane.point + plane.normal * height, ..*plane };
-            world.planes.iter().map(|(&frame, plane)| (frame, lift(plane))).collect()
-        };
-        for (height, is_moved) in [(0.0, false), (-1.0, false), (1.0, true)] {
-            let planes = lifted(height);
-            let evidence = evidence(&world, &object, &planes, &none);
-            let placed = place_stationary(&evidence, &place(&evidence, &Options::default()), 0.1).unwrap();
-            let found = planes_at_level(&evidence, &placed);
-            assert_eq!(found.is_some(), is_moved, "{height}");
-            for (frame, plane) in found.iter().flat_map(|found| &found.planes) {
-                let off = world.planes[frame].signed_distance(plane.point).abs();
-                assert!(off < 0.5, "{height}: {off}");
-            }
-        }
     }
 
     #[test]

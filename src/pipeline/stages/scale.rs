@@ -25,8 +25,8 @@ use crate::scene::{
     Reconstruction, ScaleMethod, StationaryVehicles, Topic, TrackedObject, Trajectories, Unit, Verdict,
 };
 use crate::trajectory::{
-    self, Adjustment, BodyOnGround, Candidate, Evidence, Extents, LevelledPlanes, ModelOrigin, ObjectDescription,
-    Outlines, PlacedObject, Silhouette, Subject, extents,
+    self, Adjustment, BodyOnGround, Candidate, Evidence, Extents, ModelOrigin, ObjectDescription, Outlines,
+    PlacedObject, Silhouette, Subject, extents,
 };
 use movement::TrajectoryEvidence;
 
@@ -57,8 +57,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     outcome.figure("num_trajectories", found.placed.len());
     let focal_changes = background::background_report(run)?.focal_changes;
     let judge = |placed: &[PlacedVehicle]| {
-        let candidates: Vec<Candidate> =
-            placed.iter().map(|placed| placed.candidate(&background, &run.options.scale)).collect();
+        let candidates: Vec<Candidate> = placed.iter().map(|placed| placed.candidate(&background)).collect();
         trajectory::verdicts(&candidates, run.info().time_base(), &focal_changes)
     };
     let mut verdicts = judge(&found.placed);
@@ -173,8 +172,8 @@ impl<'a, 'r> Scene<'a, 'r> {
         }
     }
 
-    /// Withdraws motion that a trajectory alone shows where other methods contradict its scale; returns true if there
-    /// was any.
+    /// Withdraws motion that a trajectory alone shows where the model's shape contradicts its scale; returns true if
+    /// there was any.
     fn withdraw_motion(
         &self,
         placed: &mut [PlacedVehicle],
@@ -200,9 +199,6 @@ impl<'a, 'r> Scene<'a, 'r> {
 
     /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
     ///
-    /// Gives the planes on which a vehicle stands that the shaking of the camera shows to be stationary, if they are
-    /// not those around it.
-    ///
     /// * `shares_cameras` – the model was triangulated from the background's cameras.
     fn revise(
         &self,
@@ -210,22 +206,21 @@ impl<'a, 'r> Scene<'a, 'r> {
         placed: &mut PlacedObject,
         evidence: &Evidence,
         shares_cameras: bool,
-    ) -> Option<LevelledPlanes> {
+    ) {
         let options = &self.run.options.scale;
-        let mut is_shown = false;
         let by_points = self.by_points.get(&tracked.id).filter(|_| options.stationary != StationaryVehicles::All);
         if let Some(by_points) = by_points {
             let trajectory = placed.trajectory.as_ref().ok();
             let motion = trajectory.and_then(|found| TrajectoryEvidence::of(found, &tracked.gaps, self.background));
             let by_shaking = || by_points.at_rest_by_shaking(evidence.object, self.frames);
             let at_rest = shares_cameras.then(by_shaking).flatten();
-            is_shown = at_rest.is_some();
             tracked.movement = at_rest.unwrap_or_else(|| movement::revised(by_points, motion.as_ref()));
         }
         let is_stationary = shares_cameras && tracked.movement.state == Movement::Stationary;
         let found = is_stationary.then(|| trajectory::place_stationary(evidence, placed, options.max_relative_std));
-        *placed = found.flatten()?;
-        is_shown.then(|| trajectory::planes_at_level(evidence, placed)).flatten()
+        if let Some(found) = found.flatten() {
+            *placed = found;
+        }
     }
 
     /// Places one object that has a model.
@@ -253,9 +248,7 @@ impl<'a, 'r> Scene<'a, 'r> {
             focal_std: self.focal_std,
         };
         let mut placed = trajectory::place(&evidence, &run.options.scale);
-        let levelled = self.revise(tracked, &mut placed, &evidence, report.shares_cameras);
-        let level = levelled.as_ref().map(|levelled| levelled.height);
-        let planes = levelled.map_or_else(|| planes.clone(), |levelled| levelled.planes);
+        self.revise(tracked, &mut placed, &evidence, report.shares_cameras);
         background::store(run, &run.workspace.object(tracked.id), &placed.object)?;
         outcome.outputs.push(run.workspace.object(tracked.id));
         describe_adjustment(tracked.id, &placed.adjustment, outcome);
@@ -279,7 +272,7 @@ impl<'a, 'r> Scene<'a, 'r> {
                 let Extents { length, width, height, center } = extents(&subject);
                 found.results.sizes.insert(tracked.id, [length, width, height]);
                 let tracked = tracked.clone();
-                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, level, center });
+                found.placed.push(PlacedVehicle { trajectory, tracked, object: placed.object, planes, center });
             }
             Err(reason) => {
                 outcome.warn(Topic::NoTrajectory.warning(format!("object {}: no trajectory: {reason}", tracked.id)));
@@ -311,15 +304,13 @@ struct PlacedVehicle {
     tracked: TrackedObject,
     object: Reconstruction,
     planes: BTreeMap<FrameId, GroundPlane>,
-    /// Height to which the planes were moved.
-    level: Option<f64>,
     center: Option<BodyCenter>,
 }
 
 impl PlacedVehicle {
-    fn candidate<'a>(&'a self, background: &'a Reconstruction, options: &'a trajectory::Options) -> Candidate<'a> {
-        let Self { trajectory, tracked, object, planes, level, .. } = self;
-        Candidate { trajectory, tracked: Some(tracked), object, background, planes, level: *level, options }
+    fn candidate<'a>(&'a self, background: &'a Reconstruction) -> Candidate<'a> {
+        let Self { trajectory, tracked, object, planes, .. } = self;
+        Candidate { trajectory, tracked: Some(tracked), object, background, planes }
     }
 }
 

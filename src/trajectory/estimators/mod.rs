@@ -57,14 +57,3 @@ pub fn estimate(method: ScaleMethod, views: &Views, options: &Options) -> Result
 pub(super) fn needs_climb(method: ScaleMethod) -> bool {
     matches!(method, ScaleMethod::ConstantDistance | ScaleMethod::RobustLeastSquares | ScaleMethod::Joint)
 }
-
-/// Relative standard deviation with which a method's ratio counts against that of another in a verdict; `None` if it
-/// has none. Not finite where the data determine nothing.
-pub(super) fn std_in_verdict(method: ScaleMethod, ratio: f64, views: &Views, options: &Options) -> Option<f64> {
-    match method {
-        ScaleMethod::ConstantDistance => constant_distance::std_in_verdict(ratio, views, options),
-        ScaleMethod::Intersection => intersection::std_in_verdict(ratio, views),
-        ScaleMethod::RobustLeastSquares => least_squares::std_in_verdict(ratio, views, options),
-        _ => None,
-    }
-}

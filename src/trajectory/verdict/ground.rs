@@ -4,8 +4,7 @@ use super::{Measures, graded, percent};
 use crate::scene::Reason;
 use crate::scene::ReasonKind::Ground;
 
-/// * `level` – height of the planes over those around it, which were moved to where the vehicle stands.
-pub(super) fn reasons(measures: &Measures, level: Option<f64>) -> Vec<Reason> {
+pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
     let Some(height) = measures.height else {
         return vec![Reason::doubts(Ground, 1.0, "no ground plane below it in any frame")];
     };
@@ -17,10 +16,7 @@ pub(super) fn reasons(measures: &Measures, level: Option<f64>) -> Vec<Reason> {
         let is_refuted = !(height > -unsure);
         return vec![if is_refuted { Reason::refutes(Ground, says) } else { Reason::doubts(Ground, 1.0, says) }];
     }
-    let stands = match level {
-        Some(level) => Some(levelled(level / height)),
-        None => measures.bottom.and_then(|bottom| stands(bottom / height, unsure / height)),
-    };
+    let stands = measures.bottom.and_then(|bottom| stands(bottom / height, unsure / height));
     let stays = spread(&measures.middles).and_then(|spread| stays(spread / height));
     [stands, stays].into_iter().flatten().collect()
 }
@@ -36,15 +32,6 @@ fn stands(bottom: f64, unsure: f64) -> Option<Reason> {
     // Of a vehicle that is seen above its sills alone a third is missing.
     let off = graded(Ground, nearest, [0.6, 0.75], floats).or_else(|| graded(Ground, -nearest, [0.25, 0.6], sinks));
     nearest.is_finite().then(|| off.unwrap_or_else(|| Reason::supports(Ground, stands())))
-}
-
-/// * `level` – height of the ground below it over the ground around it, in heights of its top.
-fn levelled(level: f64) -> Reason {
-    let says = format!(
-        "stationary by the shaking of the camera: the ground below it is {} of its height below the ground around it",
-        percent(-level)
-    );
-    Reason::supports(Ground, says)
 }
 
 /// * `spread` – of its height over the ground along the path, in heights of its top.

@@ -102,27 +102,18 @@ impl Measures {
 
 /// Heights of bottom, middle and top over the ground, for every frame with a plane.
 fn over_ground(candidate: &Candidate, points: &[Point3<f64>]) -> Vec<(FrameId, [f64; 3])> {
+    let is_by_camera_path = candidate.trajectory.scale.camera_path.is_some();
     let of_frame = |pose: &ObjectPose| {
         let plane: &GroundPlane = candidate.planes.get(&pose.frame)?;
-        let mut heights = heights(plane, pose, points);
-        // Half of the time over which a path is smoothed, seconds, and the least number of neighbors on either side.
+        let height = |point: &Point3<f64>| plane.signed_distance(pose.world_from_object * *point);
+        let mut heights: Vec<f64> = points.iter().map(height).collect();
         let [bottom, middle, top] = [BOTTOM, 0.5, MOST].map(|share| finite_quantile(&mut heights, share));
-        Some((pose.frame, [bottom?, middle?, top?]))
+        let (bottom, middle, top) = (bottom?, middle?, top?);
+        // What the camera path places may stand lower than the ground around it (a terrace, a curb).
+        let ground = if is_by_camera_path { bottom.min(0.0) } else { 0.0 };
+        Some((pose.frame, [bottom, middle, top].map(|height| height - ground)))
     };
     candidate.trajectory.poses.iter().filter_map(of_frame).collect()
-}
-
-/// Height of a vehicle's bottom over a plane; `None` without points.
-pub(in crate::trajectory) fn bottom_height(
-    plane: &GroundPlane,
-    pose: &ObjectPose,
-    object: &Reconstruction,
-) -> Option<f64> {
-    finite_quantile(&mut heights(plane, pose, &object.finite_positions()), BOTTOM)
-}
-
-fn heights(plane: &GroundPlane, pose: &ObjectPose, points: &[Point3<f64>]) -> Vec<f64> {
-    points.iter().map(|point| plane.signed_distance(pose.world_from_object * *point)).collect()
 }
 
 /// Heights of the middle over the planes that can tell whether the vehicle rises or sinks: those that are known to a

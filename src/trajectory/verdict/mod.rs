@@ -31,8 +31,6 @@ mod tests;
 use std::collections::BTreeMap;
 
 use self::measures::Measures;
-pub(super) use self::measures::bottom_height;
-use super::{Options, Views};
 use crate::math::rounding::{percent, significant};
 use crate::scene::{
     Finding, FocalChange, FrameId, GroundPlane, ObjectTrajectory, Reason, ReasonKind, Reconstruction, TimeBase,
@@ -52,10 +50,6 @@ pub struct Candidate<'a> {
     pub background: &'a Reconstruction,
     /// The local plane of each frame, in the background's frame.
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
-    /// Height to which these planes were moved since the vehicle stands there, units of the background.
-    pub level: Option<f64>,
-    /// Options with which its scale ratio was estimated.
-    pub options: &'a Options,
 }
 
 /// The verdict on every trajectory of a run, in their order. They are compared with one another, so all are needed at
@@ -92,20 +86,18 @@ pub fn with_reason(verdict: Verdict, reason: Reason) -> Verdict {
 /// Reasons from one trajectory alone.
 fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     let class = class::of(&candidate.trajectory.class);
-    let views = Views::new(candidate.background, candidate.object, candidate.planes, candidate.options);
-    let mut reasons = scale::reasons(&candidate.trajectory.scale, &views, candidate.options);
-    let is_contradicted = reasons.iter().any(|r| r.kind == ReasonKind::Agreement && r.finding != Finding::Supports);
     let num_visible = candidate.tracked.map(|tracked| tracked.frames.len());
-    reasons.push(support::amount(candidate.object.points.len(), candidate.trajectory.poses.len(), num_visible));
+    let amount = support::amount(candidate.object.points.len(), candidate.trajectory.poses.len(), num_visible);
+    let mut reasons = vec![scale::deviation(&candidate.trajectory.scale), amount];
     reasons.extend(support::pixels(measures));
     if let Some(tracked) = candidate.tracked {
         reasons.extend(support::detection(tracked));
         reasons.extend(support::movement(tracked, measures));
     }
-    reasons.extend(ground::reasons(measures, candidate.level));
+    reasons.extend(ground::reasons(measures));
     reasons.extend(size::shape(measures, &class));
     reasons.extend(size::stretch(measures, &class));
-    reasons.extend(path::reasons(measures, is_contradicted));
+    reasons.extend(path::reasons(measures));
     reasons
 }
 

@@ -8,11 +8,10 @@ use crate::scene::ReasonKind::Path;
 /// Ratio of the path's length to that of the smoothed one.
 const ZIGZAG: [f64; 2] = [1.25, 2.0];
 
-/// * `is_contradicted` – another method contradicts the scale.
-pub(super) fn reasons(measures: &Measures, is_contradicted: bool) -> Vec<Reason> {
+pub(super) fn reasons(measures: &Measures) -> Vec<Reason> {
     // Of a path within one height of the vehicle the noise says nothing by itself.
     if measures.in_heights(measures.reach).is_none_or(|reach| reach < 1.0) {
-        return if is_contradicted { noise(measures).into_iter().collect() } else { Vec::new() };
+        return Vec::new();
     }
     let odd = [zigzag(measures), jitter(measures), backwards(measures), jumps(measures), turns(measures)];
     let odd: Vec<Reason> = odd.into_iter().flatten().collect();
@@ -20,19 +19,6 @@ pub(super) fn reasons(measures: &Measures, is_contradicted: bool) -> Vec<Reason>
         true => vec![Reason::supports(Path, "smooth path along its heading")],
         false => odd,
     }
-}
-
-/// Doubt about a trajectory that is its own noise: no motion confirms a scale that another method contradicts.
-fn noise(measures: &Measures) -> Option<Reason> {
-    let [way, smooth] = measures.way;
-    let longer = way / smooth;
-    let said = || {
-        format!(
-            "trajectory within its noise (path {} times as long as the smoothed one), and the scale is contradicted",
-            times(longer)
-        )
-    };
-    (longer > ZIGZAG[0]).then(|| Reason::doubts(Path, 1.0, said()))
 }
 
 fn zigzag(measures: &Measures) -> Option<Reason> {

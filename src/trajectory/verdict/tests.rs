@@ -4,10 +4,10 @@ use std::collections::BTreeMap;
 
 use nalgebra::{UnitQuaternion, Vector3};
 
-use super::scale::{OtherEstimate, agreement, deviation};
 use super::*;
 use crate::scene::{
-    DetectionCounts, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate, ScaleMethod,
+    CameraPathRatio, DetectionCounts, Movement, MovementFinding, ObjectId, Outline, ReasonKind, ScaleEstimate,
+    ScaleMethod,
 };
 use crate::synthetic::drive::{self, Drive, Noise, drive};
 use crate::trajectory::{ObjectDescription, assemble};
@@ -20,7 +20,6 @@ struct Car {
     world: Drive,
     trajectory: ObjectTrajectory,
     tracked: TrackedObject,
-    options: Options,
 }
 
 fn estimate(ratio: f64, relative_std: f64) -> ScaleEstimate {
@@ -46,7 +45,7 @@ fn car(id: u32, error: f64, options: &drive::Options) -> Car {
     let description = ObjectDescription { id: ObjectId(id), class: "car".into(), confidence: 0.8 };
     let scale = estimate(error * world.ratio, 0.01);
     let trajectory = assemble(description, &world.background, &world.object, scale, &world.frames);
-    Car { world, trajectory, tracked, options: Options::default() }
+    Car { world, trajectory, tracked }
 }
 
 fn usual() -> drive::Options {
@@ -61,8 +60,6 @@ impl Car {
             object: &self.world.object,
             background: &self.world.background,
             planes: &self.world.planes,
-            level: None,
-            options: &self.options,
         }
     }
 }
@@ -122,6 +119,24 @@ fn a_wrong_ratio_floats_or_sinks() {
 }
 
 #[test]
+fn a_parked_car_may_stand_lower_than_the_ground_around_it() {
+    let mut car = car(1, 1.0, &usual());
+    let lift = 1.2 * height(&car);
+    car.world.planes.values_mut().for_each(|plane| plane.point += plane.normal * lift);
+    assert_eq!(finding(&judge(&[car.clone()]).remove(0), ReasonKind::Ground), Some(Finding::Refutes));
+    let (ratio, std) = (car.world.ratio, 0.01);
+    car.trajectory.scale.camera_path = Some(CameraPathRatio {
+        ratio,
+        std,
+        residual: std,
+        ratio_without: ratio,
+        std_without: None,
+        degenerate_without: true,
+    });
+    assert_eq!(finding(&judge(&[car]).remove(0), ReasonKind::Ground), Some(Finding::Supports));
+}
+
+#[test]
 fn an_unsure_ground_says_less_of_a_vehicle_that_floats() {
     for (share_of_height, is_refuted) in [(0.01, true), (1.0, false)] {
         let mut floating = car(1, 0.6, &usual());
@@ -166,25 +181,6 @@ fn a_model_that_is_drawn_out_along_the_line_of_sight_is_refuted() {
     assert!(verdict.is_refuted() && verdict.against().any(|r| r.says.contains("line of sight")), "{verdict:#?}");
 }
 
-/// A car whose stated deviation is 1.5 %, while the constant distances say +157 % and all frames together −32 %.
-#[test]
-fn methods_that_contradict_one_another_leave_no_green_badge() {
-    let scale = estimate(2.0, 0.015);
-    assert_eq!(deviation(&scale).finding, Finding::Supports);
-    let answer = |method, off: f64, std| OtherEstimate { method, ratio: 2.0 * (1.0 + off), std };
-    let pair = |std| answer(ScaleMethod::ConstantDistance, 1.57, std);
-    let all = |std| answer(ScaleMethod::RobustLeastSquares, -0.32, std);
-    let unknown = agreement(&scale, &[pair(0.15), all(0.15)]).unwrap();
-    assert_eq!((unknown.finding, unknown.weight), (Finding::Doubts, 0.5));
-    let sure = agreement(&scale, &[pair(0.05), all(0.05)]).unwrap();
-    assert_eq!(sure.finding, Finding::Refutes, "{}", sure.says);
-    assert!(sure.says.contains("+157 %") && sure.says.contains("−32 %"), "{}", sure.says);
-    let one_of_two = agreement(&scale, &[pair(0.1), all(0.1)]).unwrap();
-    assert_eq!((one_of_two.finding, one_of_two.weight), (Finding::Doubts, 1.0));
-    let idle = agreement(&scale, &[pair(0.6), all(9.0)]);
-    assert_eq!(idle, None, "methods that cannot tell do not contradict");
-}
-
 #[test]
 fn a_car_a_tenth_as_large_as_the_others_is_ruled_out() {
     let mut cars: Vec<Car> = (1..=3).map(|id| car(id, 1.0, &usual())).collect();
@@ -224,25 +220,6 @@ fn too_fast_backwards_and_jumping_paths_are_said() {
     moved(&mut back, |k| -way * (k.saturating_sub(50) as f64) * 2.0 / last as f64);
     let verdict = judge(&[back]).remove(0);
     assert!(verdict.against().any(|reason| reason.says.contains("backward")), "{verdict:#?}");
-}
-
-/// A distant vehicle whose trajectory is a zigzag of less than its height, at a scale that one method contradicts.
-#[test]
-fn a_trajectory_of_noise_at_a_contradicted_scale_is_at_best_doubtful() {
-    let judged = |zigzag: f64, contradicted: bool| {
-        let mut car = car(1, 1.0, &drive::Options { speed_m_s: 0.0, ..usual() });
-        let (up, size) = (normal(&car), height(&car));
-        let aside = up.cross(&Vector3::x()).normalize() * zigzag * size;
-        moved(&mut car, |k| if k % 2 == 0 { aside } else { -aside });
-        let scale = &mut car.trajectory.scale;
-        let factor = if contradicted { 1.8 } else { 1.0 };
-        scale.alternatives.insert(ScaleMethod::RobustLeastSquares, factor * scale.ratio);
-        let verdict = judge(&[car]).remove(0);
-        (finding(&verdict, ReasonKind::Path), verdict.state)
-    };
-    assert_eq!(judged(0.1, true).0, Some(Finding::Doubts));
-    assert!(judged(0.1, true).1 >= Trust::Doubtful);
-    assert_eq!(judged(0.1, false).0, None);
 }
 
 #[test]
@@ -298,15 +275,7 @@ fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
         let planes = BTreeMap::new();
         let background = &single.world.background;
-        let candidate = Candidate {
-            trajectory,
-            tracked: None,
-            object,
-            background,
-            planes: &planes,
-            level: None,
-            options: &single.options,
-        };
+        let candidate = Candidate { trajectory, tracked: None, object, background, planes: &planes };
         verdicts(&[candidate], TimeBase::Frames, &[]).remove(0)
     };
     let verdict = of(&single.trajectory, &single.world.object);
@@ -320,25 +289,4 @@ fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
     broken.poses.iter_mut().for_each(|pose| pose.position = [f64::NAN; 3]);
     let text = serde_json::to_string(&of(&broken, &single.world.object)).unwrap();
     assert!(!text.contains("NaN") && !text.contains("null"), "{text}");
-}
-
-#[test]
-fn other_methods_are_judged_with_the_options_of_the_run() {
-    // From a low camera errors of the planes' tilt count.
-    let low = drive::Options { camera_height_m: 3.0, ..usual() };
-    let mut car = car(1, 1.0, &low);
-    let ratio = car.world.ratio;
-    let methods = [ScaleMethod::RobustLeastSquares, ScaleMethod::ConstantDistance];
-    car.trajectory.scale.alternatives = methods.map(|method| (method, 1.02 * ratio)).into();
-    let finding = |options: Options| {
-        let car =
-            Car { options, world: car.world.clone(), trajectory: car.trajectory.clone(), tracked: car.tracked.clone() };
-        let reason = judge(&[car]).remove(0).reasons.into_iter().find(|reason| reason.kind == ReasonKind::Agreement);
-        reason.map(|reason| reason.says)
-    };
-    let default = finding(Options::default());
-    assert!(default.is_some());
-    let mut changed = Options::default();
-    changed.joint.sigma_distance = [0.003, 0.9];
-    assert_ne!(finding(changed), default);
 }

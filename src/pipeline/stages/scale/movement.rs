@@ -85,11 +85,10 @@ pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvid
     MovementFinding { state, reason }
 }
 
-/// Returns true if other methods or the shape of the model contradict the scale of a trajectory. Its motion relative to
+/// Returns true if the shape of the model contradicts the scale of a trajectory. Its motion relative to
 /// the camera is then no evidence: a wrong ratio moves a parked vehicle along.
 pub(super) fn contradicts_scale(verdict: &Verdict) -> bool {
-    let rests_on_scale = |kind| matches!(kind, ReasonKind::Agreement | ReasonKind::Shape);
-    verdict.against().any(|reason| rests_on_scale(reason.kind) && reason.weight >= 0.5)
+    verdict.against().any(|reason| reason.kind == ReasonKind::Shape)
 }
 
 #[cfg(test)]
@@ -138,10 +137,8 @@ mod tests {
     #[test]
     fn a_contradicted_scale_is_no_evidence_of_motion() {
         use crate::scene::{Reason, Trust};
-        let verdict = |reason| Verdict { state: Trust::Doubtful, reasons: vec![reason] };
-        let doubts = |kind, weight| contradicts_scale(&verdict(Reason::doubts(kind, weight, "contradicts")));
-        assert!(doubts(ReasonKind::Agreement, 0.5) && !doubts(ReasonKind::Agreement, 0.25));
-        assert!(doubts(ReasonKind::Shape, 1.0) && !doubts(ReasonKind::Pixels, 1.0));
-        assert!(contradicts_scale(&verdict(Reason::refutes(ReasonKind::Agreement, "by far"))));
+        let doubted = |kind| Verdict { state: Trust::Doubtful, reasons: vec![Reason::doubts(kind, 1.0, "odd")] };
+        assert!(contradicts_scale(&doubted(ReasonKind::Shape)));
+        assert!(!contradicts_scale(&doubted(ReasonKind::Pixels)));
     }
 }
