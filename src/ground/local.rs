@@ -7,7 +7,7 @@ use rayon::prelude::*;
 use thiserror::Error;
 
 use super::Options;
-use super::plane::{Candidate, PlaneFailure, fit_plane};
+use super::plane::{Candidate, PlaneFailure, UNEVENNESS, fit_plane};
 use crate::math::{Neighbors, seeded_rng};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 
@@ -164,10 +164,6 @@ fn plane_of_frame(
         tilt_std: plane.tilt_std(),
     })
 }
-
-/// Distance of the ground below an object from the plane of the points round it, as a share of their distances: kerbs
-/// and cambers do not average out.
-pub(super) const UNEVENNESS: f64 = 0.5;
 
 /// Where the lowest of the rays through the given pixels meets a plane, which is given by its normal and the camera's
 /// height over it; `None` where the horizon lies below all of them.

@@ -11,6 +11,10 @@ use thiserror::Error;
 
 use crate::math::{Rng, symmetric_eigen};
 
+/// Distance of the ground below an object from the plane of the points round it, as a share of their distances: kerbs
+/// and cambers do not average out.
+pub(super) const UNEVENNESS: f64 = 0.5;
+
 /// A point and the distance from the plane up to which it counts as part of it (eq. 1).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
@@ -57,9 +61,10 @@ impl Plane {
         self.normal.dot(&(point - self.point))
     }
 
-    /// Standard deviation of the larger of the two slopes, radians.
+    /// Standard deviation of the larger of the two slopes, radians, with what does not average out.
     pub(super) fn tilt_std(&self) -> f64 {
-        self.slopes[0].1.max(self.slopes[1].1).sqrt()
+        let common = (UNEVENNESS * self.rms).powi(2) / self.height_var.max(f64::MIN_POSITIVE);
+        (self.slopes[0].1.max(self.slopes[1].1) * (1.0 + common)).sqrt()
     }
 
     /// Standard deviation of the height at a place of the plane.
@@ -214,6 +219,19 @@ mod tests {
             assert!(plane.normal.cross(&truth).norm() < 0.005, "seed {seed}");
             assert!(plane.num_inliers >= 40 && plane.rms < 0.025);
         }
+    }
+
+    #[test]
+    fn curbs_do_not_average_out() {
+        // A road 4 m wide and a sidewalk of 2 m that is 12 cm higher.
+        let mut rng = seeded_rng(5, 0);
+        let mut place = || (rng.random_range(-4.0..4.0), rng.random_range(-2.0..4.0), rng.random_range(-0.02..0.02));
+        let height = |y: f64| if y > 2.0 { 0.12 } else { 0.0 };
+        let points = (0..50).map(|_| place()).map(|(x, y, noise)| Point3::new(x, y, height(y) + noise));
+        let points: Vec<_> = points.map(|position| Candidate { position, tolerance: 0.2 }).collect();
+        let plane = fit(&points).unwrap();
+        let tilt = plane.normal.cross(&Vector3::z()).norm();
+        assert!(tilt > 0.02 && tilt < 2.5 * plane.tilt_std() && plane.tilt_std() < 0.05, "{tilt} {plane:?}");
     }
 
     #[test]
