@@ -11,10 +11,15 @@ pub(super) fn sentence(data: &Data) -> String {
     if registered == 0 {
         return format!("Nothing reconstructed: the camera path was not found in {}.", count(frames, "frame"));
     }
+    // Before a camera that does not translate points have no depth.
+    let camera = match data.background.reconstruction.points.is_empty() {
+        true => "the camera's viewing direction",
+        false => "the camera path",
+    };
     let camera = if registered >= frames {
-        format!("the camera path in all {}", count(frames, "frame"))
+        format!("{camera} in all {}", count(frames, "frame"))
     } else {
-        format!("the camera path in {registered} of {}", count(frames, "frame"))
+        format!("{camera} in {registered} of {}", count(frames, "frame"))
     };
     if data.is_sfm {
         return models_in_words(data);
@@ -106,6 +111,14 @@ mod tests {
         let said = sentence(&Data { is_sfm: true, ..world.data() });
         assert!(said.contains("images registered, ") && said.contains("mean residual"), "{said}");
         assert!(said.ends_with("Models of vehicles, each in its own unit: 1 of 2."), "{said}");
+    }
+
+    #[test]
+    fn a_camera_that_does_not_translate_has_no_path() {
+        let mut world = testing::world();
+        assert!(sentence(&world.data()).starts_with("Reconstructed: the camera path in "));
+        world.background.points = Default::default();
+        assert!(sentence(&world.data()).starts_with("Reconstructed: the camera's viewing direction in "));
     }
 
     #[test]
