@@ -33,6 +33,8 @@ GIMBAL_STD, RECEIVER_STD, HEIGHT_STD, MAP_STD, PIXEL_STD = (3.0, 0.7, 0.5), 2.0,
 FOCAL_STD = 0.05
 # Where points are picked, as shares of width and height.
 PICKED = ((0.12, 0.2), (0.88, 0.25), (0.85, 0.85), (0.15, 0.8), (0.5, 0.55))
+# Largest distance of ground from the vertices of its mesh, meters.
+SPACING_M = 3.0
 # Height above the ground at which vehicles are seen, metres: half of a car's.
 MIDDLE_M = 0.7
 # Distance within which positions are those of a true vehicle, metres; of a parked car half of the 5.5 m between bays.
@@ -80,8 +82,29 @@ def from_map(longitude: float, latitude: float) -> np.ndarray:
     return np.array([np.radians(longitude - LONGITUDE) * RADII[1], np.radians(latitude - LATITUDE) * RADII[0]])
 
 
-def write_inputs(sequence: Path, output: Path, seed: int) -> None:
-    """Writes video.SRT and points.geojson, and copies the video."""
+def in_image(truth: Truth, frame: int, point: np.ndarray) -> np.ndarray | None:
+    """The pixel at which a point is seen; ``None`` behind the camera."""
+    camera = truth.cameras[frame]
+    seen = np.array(truth.scene["K"]) @ (camera[:3, :3].T @ (point - camera[:3, 3]))
+    return seen[:2] / seen[2] if seen[2] > 0 else None
+
+
+def on_mesh(truth: Truth, vertices: np.ndarray, frame: int, pixel: np.ndarray) -> np.ndarray | None:
+    """The point of the ground as it is at a pixel, by the plane of the vertices near it; ``None`` beyond them."""
+    camera, at = truth.cameras[frame], truth.on_ground(frame, pixel)
+    ray = at - camera[:3, 3]
+    # Each round leaves the ratio of the ground's slope to that of the sight.
+    for _ in range(8):
+        near = vertices[np.argsort(np.linalg.norm(vertices[:, :2] - at[:2], axis=1))[:12]]
+        level = np.column_stack([near[:, :2] - at[:2], np.ones(len(near))])
+        height = np.linalg.lstsq(level, near[:, 2], rcond=None)[0][2]
+        at = camera[:3, 3] + ray * (height - camera[2, 3]) / ray[2]
+    nearest = np.linalg.norm(vertices[:, :2] - at[:2], axis=1).min()
+    return at if nearest < SPACING_M else None
+
+
+def write_inputs(sequence: Path, output: Path, seed: int, heights: bool) -> None:
+    """Writes video.SRT and points.geojson, with ``heights`` of points of the ground as it is, and copies the video."""
     output.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(sequence / "video.mp4", output / "video.mp4")
     truth, r = Truth.read(sequence), np.random.default_rng(seed)
@@ -108,11 +131,18 @@ def write_inputs(sequence: Path, output: Path, seed: int) -> None:
         ]
     (output / "video.SRT").write_text("\n".join(lines))
     features = []
-    for share in PICKED:
-        pixel = np.array(share) * [truth.scene["width"], truth.scene["height"]]
-        place = to_map(truth.on_ground(0, pixel)[:2] + r.normal(0, MAP_STD, 2))
+    vertices, size = read_ply(sequence / "ground_mesh.ply")[0], np.array([truth.scene["width"], truth.scene["height"]])
+    pixels = [np.array(share) * size for share in PICKED]
+    if heights:
+        seen = [in_image(truth, 0, np.array(car["position"])) for car in truth.scene.get("parked", [])]
+        pixels += [pixel for pixel in seen if pixel is not None and (pixel > 0).all() and (pixel < size).all()]
+    for pixel in pixels:
+        at = on_mesh(truth, vertices, 0, pixel) if heights else truth.on_ground(0, pixel)
+        if at is None:
+            continue
+        place = [*to_map(at[:2] + r.normal(0, MAP_STD, 2)), *([400 + at[2] + r.normal(0, MAP_STD)] if heights else [])]
         x, y = pixel + r.normal(0, PIXEL_STD, 2)
-        geometry = {"type": "Point", "coordinates": list(place)}
+        geometry = {"type": "Point", "coordinates": place}
         features.append({"type": "Feature", "geometry": geometry, "properties": {"x": x, "y": y}})
     (output / "points.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}, indent=1))
 
@@ -427,6 +457,7 @@ def main() -> None:
     inputs.add_argument("sequence", type=Path)
     inputs.add_argument("output", type=Path)
     inputs.add_argument("--seed", type=int, default=1)
+    inputs.add_argument("--heights", action="store_true", help="points with heights of the ground as it is")
     errors = commands.add_parser("compare", help="errors of the positions of a run, or of a live run on a map")
     errors.add_argument("sequence", type=Path)
     errors.add_argument("run", type=Path)
@@ -439,7 +470,7 @@ def main() -> None:
     if arguments.command in OF_A_RUN:
         OF_A_RUN[arguments.command][0](arguments.sequence, arguments.run)
     elif arguments.command == "inputs":
-        write_inputs(arguments.sequence, arguments.output, arguments.seed)
+        write_inputs(arguments.sequence, arguments.output, arguments.seed, arguments.heights)
     elif (arguments.run / "live.jsonl").is_file() and not (arguments.run / "trajectories.json").is_file():
         compare_live(arguments.sequence, arguments.run)
     else:

@@ -156,8 +156,8 @@ pub(super) struct JobArgs {
     /// lines, telemetry, map points and the sizes of vehicles]
     #[arg(long, value_name = "DEGREES[±STD]", help_heading = "Meters")]
     pub(super) camera_pitch: Option<Measured>,
-    /// Points of level ground for a hovering camera: GeoJSON points with properties x, y (pixel) and frame (index,
-    /// default: the first)
+    /// Points of the ground for a hovering camera: GeoJSON points with properties x, y (pixel) and frame (index,
+    /// default: the first); with heights, if it is not level
     #[arg(long, value_name = "FILE", help_heading = "Meters")]
     pub(super) map_points: Option<PathBuf>,
     /// Known length, width or height of vehicle ID, meters: 1:length=4.47±0.02; may be repeated

@@ -23,6 +23,7 @@ use serde::{Deserialize, Serialize};
 
 use super::height::CameraHeight;
 use super::local::{LocalPlanes, SkipReason, lowest_foot, object_pixels};
+use super::relief::Relief;
 use crate::camera::{Camera, LEAST_DIP, MAX_INCLINATION, MAX_TILT_STD, ROLL_STD, up_in_cam};
 use crate::math::{RobustLoss, median};
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction, Rect};
@@ -66,7 +67,7 @@ pub struct StatedTilt {
 }
 
 /// Of what a source states the tilt.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum TiltKind {
     /// The ground.
     Ground,
@@ -74,7 +75,10 @@ pub enum TiltKind {
     Vertical,
     /// The plane of a map in whose frame positions are. It is the ground as it is: rays meet it where a homography to
     /// the map would put them, whatever its error, and would not meet a better plane there.
-    Map,
+    Map {
+        /// Points of the ground with heights, in the background's frame, which it follows; none for a plane.
+        relief_in_world: Vec<Point3<f64>>,
+    },
 }
 
 /// A source of the normal against all others.
@@ -142,7 +146,7 @@ pub fn hovering_ground(
     let solver = TiltSolver::new(background, vehicles, focal_std)?;
     let all: Vec<&StatedTilt> = stated.iter().collect();
     let differences = solver.differences(&all);
-    let of_map = all.iter().find(|tilt| tilt.kind == TiltKind::Map).and_then(|map| map.known_angles());
+    let of_map = all.iter().find(|tilt| matches!(tilt.kind, TiltKind::Map { .. })).and_then(|map| map.known_angles());
     // A map is the ground as it is, whatever other sources say.
     let (disagreement, tilt) = match of_map {
         Some((angles, covariance)) => (1.0, Tilt { angles, covariance, by_focal: Vector2::zeros() }),
@@ -504,10 +508,18 @@ impl Problem {
 }
 
 impl HoveringGround {
+    /// Points with heights of the map whose plane it is; `None` where it is of no map.
+    fn relief(&self) -> Option<&[Point3<f64>]> {
+        self.sources.iter().find_map(|source| match &source.kind {
+            TiltKind::Map { relief_in_world } => Some(relief_in_world.as_slice()),
+            TiltKind::Ground | TiltKind::Vertical => None,
+        })
+    }
+
     /// Returns true if it is the plane of a map: then its tilt, the height of the camera and the focal length move
     /// nothing on it, and what they leave of positions is in the alignment with the map.
     pub fn is_mapped(&self) -> bool {
-        self.sources.iter().any(|source| source.kind == TiltKind::Map)
+        self.relief().is_some()
     }
 
     /// Standard deviation of its tilt, radians, with that of the focal length.
@@ -544,22 +556,37 @@ impl HoveringGround {
 
     /// The plane below an object in every frame that is registered in both models.
     pub(super) fn planes(&self, background: &Reconstruction, model: &Reconstruction) -> LocalPlanes {
+        let relief = self.relief().and_then(|points| Relief::new(points, self.normal_in_world));
         let below = |(frame, image, in_object): (FrameId, &Image, &Image)| {
-            let plane = self.plane_below(background, image, &object_pixels(in_object));
+            let plane = self.plane_below(background, image, &object_pixels(in_object), relief.as_ref());
             (frame, plane.ok_or(SkipReason::NoObjectObservations))
         };
         background.paired_images(model).into_iter().map(below).collect()
     }
 
-    fn plane_below(&self, background: &Reconstruction, image: &Image, pixels: &[Point2<f64>]) -> Option<GroundPlane> {
-        let normal = self.normal_in_world;
+    fn plane_below(
+        &self,
+        background: &Reconstruction,
+        image: &Image,
+        pixels: &[Point2<f64>],
+        relief: Option<&Relief>,
+    ) -> Option<GroundPlane> {
         let center = image.cam_from_world.center();
-        let height = self.height_of(center);
-        let foot = lowest_foot(background, image, pixels, (&normal, height))?;
+        let foot_on = |normal: &Vector3<f64>, height: f64| lowest_foot(background, image, pixels, (normal, height));
+        let mut normal = self.normal_in_world;
+        let mut height = self.height_of(center);
+        let mut foot = foot_on(&normal, height)?;
+        // Each round leaves the ratio of the ground's slope to that of the sight.
+        for _ in 0..5 {
+            let Some((next, place)) = relief.and_then(|relief| relief.plane_near(foot)) else { break };
+            (normal, height) = (next, next.dot(&(center - place)));
+            foot = foot_on(&normal, height)?;
+        }
         let point = center - normal * height;
         let off = foot - point;
         let of_tilt = if self.is_mapped() { 0.0 } else { off.dot(&(self.normal_covariance * off)).max(0.0).sqrt() };
-        let height_std = of_tilt.hypot(UNEVENNESS * height);
+        let of_relief = relief.map_or(0.0, |relief| relief.height_std);
+        let height_std = of_tilt.hypot(UNEVENNESS * height).hypot(of_relief);
         Some(GroundPlane {
             normal,
             point,
@@ -699,10 +726,41 @@ mod tests {
         let of_map = up_in_cam(Vector2::new(0.63, 0.01));
         let tilt = |kind| StatedTilt { kind, ..StatedTilt::of_up("map", &of_map, &(Matrix3::identity() * 4e-4)) };
         let found = |kind| hovering_ground(&background, &vehicles, vec![tilt(kind)], 0.0).unwrap();
-        let (map, ground) = (found(TiltKind::Map), found(TiltKind::Ground));
+        let plane = TiltKind::Map { relief_in_world: Vec::new() };
+        let (map, ground) = (found(plane), found(TiltKind::Ground));
         assert!(map.normal_in_world.angle(&of_map) < 1e-9 && map.normal_in_world.angle(&up) > 0.02);
         assert!(ground.normal_in_world.angle(&of_map) > 1e-3, "fused with vehicles");
         assert!(map.tilt_std > ground.tilt_std && map.num_vehicles == ground.num_vehicles);
+    }
+
+    #[test]
+    fn planes_follow_points_with_heights() {
+        let (mut background, vehicles, up) = scene(0.6, 0.0, 1);
+        // The ground rises by a tenth of the camera's height beyond its foot, seen at the middle of the frame.
+        let axis = Vector3::z();
+        let foot = Point3::from(axis / -up.dot(&axis));
+        let relief: Vec<Point3<f64>> = (0..9)
+            .map(|k| [f64::from(k % 3) - 1.0, f64::from(k / 3) - 1.0].map(|x| 0.2 * x))
+            .map(|[x, y]| foot + Vector3::x() * x + up.cross(&Vector3::x()) * y + up * 0.1)
+            .collect();
+        let image = background.images.values_mut().next().unwrap();
+        image.observations = vec![crate::scene::Observation {
+            pixel: Point2::new(640.0, 360.0),
+            point: Some(crate::scene::Point3dId(0)),
+        }];
+        let height = |relief_in_world: Vec<Point3<f64>>| {
+            let kind = TiltKind::Map { relief_in_world };
+            let tilt = StatedTilt { kind, ..StatedTilt::of_up("map", &up, &(Matrix3::identity() * 4e-4)) };
+            let ground = hovering_ground(&background, &vehicles, vec![tilt], 0.0).unwrap();
+            let planes = ground.planes(&background, &background).planes;
+            let plane = planes.values().next().unwrap();
+            (plane.signed_distance(Point3::origin()), plane.normal.angle(&up))
+        };
+        let (level, lifted) = (height(Vec::new()), height(relief));
+        assert!(
+            (level.0 - 1.0).abs() < 1e-6 && (lifted.0 - 0.9).abs() < 2e-3 && lifted.1 < 0.01,
+            "{level:?} {lifted:?}"
+        );
     }
 
     #[test]

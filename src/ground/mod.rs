@@ -17,6 +17,7 @@ mod labels;
 mod local;
 mod observations;
 mod plane;
+mod relief;
 mod road;
 mod supports;
 mod trajectory_plane;

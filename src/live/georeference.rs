@@ -231,7 +231,7 @@ impl Georeference {
     ///
     /// * `utc_start_s` – UTC at the beginning of the video, seconds after 1970.
     pub(super) fn on_map(found: OnMap, utc_start_s: Option<f64>) -> Self {
-        let OnMap { alignment, map } = found;
+        let OnMap { alignment, map, .. } = found;
         let scale = alignment.source(MAP_POINTS, Kind::Surveyed);
         let fused = Fused::of_scale(scale.log_scale.exp(), scale.std);
         let frame = frame_on_map(&fused, &alignment, map.origin);

@@ -1,4 +1,4 @@
-//! A camera that does not translate, over points of a map on level ground.
+//! A camera that does not translate, over points of a map.
 //!
 //! With the camera's centre C, east, north and up of a place, and its rotation R (axes of the map from those of the
 //! background), the ray u of a point X of the ground is Rᵀ (X − C) / |X − C|. A homography starts; Gauss–Newton over
@@ -29,9 +29,9 @@ pub struct MapPoint {
     pub ray_in_world: Vector3<f64>,
     /// Standard deviation of the ray's direction, radians.
     pub ray_std: f64,
-    /// Metres east and north.
-    pub east_north_m: Vector2<f64>,
-    /// Standard deviation of either.
+    /// Metres east, north and above the middle of all points.
+    pub position_m: Point3<f64>,
+    /// Standard deviation along each axis.
     pub std_m: f64,
 }
 
@@ -73,7 +73,7 @@ impl Fit {
     fn of(points: &[MapPoint]) -> Result<Self, MapPointsError> {
         let mut pose = start(points)?;
         let mut information = SMatrix::<f64, 6, 6>::zeros();
-        // From the homography, which is right but for noise: quadratic convergence.
+        // From the homography, which is right but for noise and heights: quadratic convergence.
         for _ in 0..12 {
             let mut gradient = SVector::<f64, 6>::zeros();
             information.fill(0.0);
@@ -148,13 +148,14 @@ pub fn camera_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, focal_std: f64)
     }
     if factor > MAX_DEVIATIONS {
         let off_m = |point: &MapPoint| {
-            pose.on_ground(&point.ray_in_world).map_or(f64::INFINITY, |at| (at - point.east_north_m).norm())
+            let at = pose.at_height(&point.ray_in_world, point.position_m.z);
+            at.map_or(f64::INFINITY, |at| (at - point.position_m.coords.xy()).norm())
         };
         let (index, off_m) = (1..).zip(points.iter().map(off_m)).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
         return Err(MapPointsError::Contradiction { index, off_m });
     }
     let of_pose = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * factor.max(1.0).powi(2);
-    let middle = points.iter().map(|point| point.east_north_m).sum::<Vector2<f64>>() / points.len() as f64;
+    let middle = points.iter().map(|point| point.position_m.coords.xy()).sum::<Vector2<f64>>() / points.len() as f64;
     let refocused = points_at(FOCAL_STEP);
     let by_focal = Fit::of(&refocused).ok().map(|fit| (fit.pose, &refocused[..]));
     let covariance = covariance_on_ground(pose, &points, &of_pose, by_focal, focal_std, middle)
@@ -199,13 +200,14 @@ fn covariance_on_ground(
     let between = |points: &[MapPoint], (j, k): (usize, usize)| points[j].ray_in_world + points[k].ray_in_world;
     let displacement = |pair: (usize, usize)| {
         let ray = between(points, pair);
-        let here = pose.on_ground(&ray)?;
+        let height = 0.5 * (points[pair.0].position_m.z + points[pair.1].position_m.z);
+        let here = pose.at_height(&ray, height)?;
         let mut by = SMatrix::<f64, 2, 7>::zeros();
         for (j, pose) in moved.iter().enumerate() {
-            by.set_column(j, &((pose.on_ground(&ray)? - here) / STEP));
+            by.set_column(j, &((pose.at_height(&ray, height)? - here) / STEP));
         }
         if let Some((pose, points)) = &by_focal {
-            by.set_column(6, &((pose.on_ground(&between(points, pair))? - here) / FOCAL_STEP));
+            by.set_column(6, &((pose.at_height(&between(points, pair), height)? - here) / FOCAL_STEP));
         }
         let [x, y] = (here - middle).into();
         Some((by, SMatrix::<f64, 2, 4>::new(x, -y, 1.0, 0.0, y, x, 0.0, 1.0)))
@@ -253,7 +255,7 @@ impl Pose {
     }
 
     fn way(&self, point: &MapPoint) -> Vector3<f64> {
-        point.east_north_m.push(0.0) - self.center.coords
+        point.position_m - self.center
     }
 
     /// Predicted direction across the ray.
@@ -268,10 +270,10 @@ impl Pose {
         point.ray_std.powi(2) + (point.std_m / self.way(point).norm()).powi(2)
     }
 
-    /// Position at which a ray meets the ground.
-    fn on_ground(&self, ray_in_world: &Vector3<f64>) -> Option<Vector2<f64>> {
+    /// Position at which a ray comes down to a height.
+    fn at_height(&self, ray_in_world: &Vector3<f64>, height: f64) -> Option<Vector2<f64>> {
         let ray = self.metric_from_world * ray_in_world;
-        (ray.z < 0.0).then(|| (self.center.coords - ray * (self.center.z / ray.z)).xy())
+        (ray.z < 0.0).then(|| (self.center.coords - ray * ((self.center.z - height) / ray.z)).xy())
     }
 }
 
@@ -286,7 +288,7 @@ fn start(points: &[MapPoint]) -> Result<Pose, MapPointsError> {
             (ray.z > 0.0).then(|| ray.xy() / ray.z)
         })
         .collect();
-    let ground: Vec<Vector2<f64>> = points.iter().map(|point| point.east_north_m).collect();
+    let ground: Vec<Vector2<f64>> = points.iter().map(|point| point.position_m.coords.xy()).collect();
     let h = homography_from_points(&ground, &seen.ok_or(MapPointsError::NoCamera)?).ok_or(too_few)?;
     let length = 0.5 * (h.column(0).norm() + h.column(1).norm());
     // In front of the camera.
@@ -321,7 +323,7 @@ mod tests {
         let point = |&[east, north]: &[f64; 2]| MapPoint {
             ray_in_world: (rotation.inverse() * (Vector3::new(east, north, 0.0) - center.coords)).normalize(),
             ray_std: 1e-3,
-            east_north_m: Vector2::new(east + noise(), north + noise()),
+            position_m: Point3::new(east + noise(), north + noise(), 0.0),
             std_m: 0.3,
         };
         (GROUND[..num].iter().map(point).collect(), rotation, center)
@@ -360,7 +362,7 @@ mod tests {
                     let [seen] = zoomed(&[point], log_focal + error)[..] else { unreachable!() };
                     let Sim3 { rotation, translation, .. } = found.metric_from_world;
                     let pose = Pose { metric_from_world: rotation, center: Point3::from(translation) };
-                    let place = pose.on_ground(&seen.ray_in_world).unwrap().push(0.0);
+                    let place = pose.at_height(&seen.ray_in_world, 0.0).unwrap().push(0.0);
                     let anchor = found.metric_from_world * found.anchor_in_world;
                     let covariance = covariance_at(&(place - anchor.coords), &found.covariance);
                     for k in 0..2 {
@@ -389,6 +391,28 @@ mod tests {
     }
 
     #[test]
+    fn heights_of_points_count() {
+        let (level, rotation, center) = points(5, 0.0, 0);
+        let lifted = |(k, point): (usize, &MapPoint)| {
+            let position_m = Point3::new(point.position_m.x, point.position_m.y, [-3.0, 2.0, 4.0, -1.0, -2.0][k]);
+            MapPoint { position_m, ray_in_world: (rotation.inverse() * (position_m - center)).normalize(), ..*point }
+        };
+        let on_hill: Vec<MapPoint> = level.iter().enumerate().map(lifted).collect();
+        let found = camera_over_map(|_| on_hill.clone(), 0.0).unwrap();
+        assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
+        assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
+        // The heights left out, the same points place the camera elsewhere, if at all.
+        let flat = |point: &MapPoint| MapPoint {
+            position_m: Point3::new(point.position_m.x, point.position_m.y, 0.0),
+            ..*point
+        };
+        let flat: Vec<MapPoint> = on_hill.iter().map(flat).collect();
+        let off = camera_over_map(|_| flat.clone(), 0.0)
+            .map(|found| Point3::from(found.metric_from_world.translation) - center);
+        assert!(off.is_err() || off.is_ok_and(|off| off.norm() > 1.0));
+    }
+
+    #[test]
     fn points_show_the_focal_length() {
         let mut inside = 0;
         for seed in 0..40 {
@@ -406,14 +430,14 @@ mod tests {
         let camera = |points: &[MapPoint]| camera_over_map(|_| points.to_vec(), 0.0);
         assert!(matches!(camera(&all[..3]), Err(MapPointsError::TooFew(3))));
         assert!(camera(&[]).is_err());
-        let swapped = |point: &MapPoint| MapPoint { east_north_m: point.east_north_m.yx(), ..*point };
+        let swapped = |point: &MapPoint| MapPoint { position_m: point.position_m.yxz(), ..*point };
         let mirrored: Vec<MapPoint> = all.iter().map(swapped).collect();
         assert_eq!(camera(&mirrored), Err(MapPointsError::NoCamera));
         let mut one_off = all.clone();
-        one_off[4].east_north_m.x += 8.0;
+        one_off[4].position_m.x += 8.0;
         assert!(matches!(camera(&one_off), Err(MapPointsError::Contradiction { index: 5, .. })));
         let line: Vec<MapPoint> =
-            (0..4).map(|k| MapPoint { east_north_m: Vector2::new(0.0, 9.0 * f64::from(k)), ..all[0] }).collect();
+            (0..4).map(|k| MapPoint { position_m: Point3::new(0.0, 9.0 * f64::from(k), 0.0), ..all[0] }).collect();
         assert!(camera(&line).is_err());
     }
 }

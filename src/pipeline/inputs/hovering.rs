@@ -102,9 +102,10 @@ pub fn stated_tilts(
         let covariance = in_all_directions(std.hypot(SLOPE_STD));
         of_up(TiltKind::Vertical, "attitude of the camera in telemetry", up, covariance)
     }));
-    found.extend(on_map.map(|OnMap { alignment, .. }| {
+    found.extend(on_map.map(|OnMap { alignment, relief_in_world, .. }| {
         let up = alignment.metric_from_world.rotation.inverse() * Vector3::z();
-        of_up(TiltKind::Map, "--map-points", up, in_all_directions(alignment.tilt_std()))
+        let kind = TiltKind::Map { relief_in_world: relief_in_world.clone() };
+        of_up(kind, "--map-points", up, in_all_directions(alignment.tilt_std()))
     }));
     found
 }
@@ -238,6 +239,8 @@ pub struct OnMap {
     pub alignment: Alignment,
     /// Its frame; heights are known if the points have them.
     pub map: LocalFrame,
+    /// The points with heights, in the background's frame; none where heights are not known.
+    pub relief_in_world: Vec<Point3<f64>>,
 }
 
 /// Points of a map as GeoJSON has them.
@@ -377,12 +380,14 @@ impl Survey {
             if !is_in_frame(picked.pixel, (camera.width, camera.height)) {
                 return Err(format!("point {number} is outside of its frame"));
             }
-            let Picked { longitude_deg, latitude_deg, .. } = *picked;
-            let place = Geodetic { longitude_deg, latitude_deg, height_m: self.map.origin.height_m };
+            let Picked { longitude_deg, latitude_deg, height_m, .. } = *picked;
+            let origin = &self.map.origin;
+            let height_m = height_m.filter(|_| origin.knows_height).unwrap_or(origin.height_m);
+            let place = Geodetic { longitude_deg, latitude_deg, height_m };
             Ok(MapPoint {
                 ray_in_world: image.cam_from_world.rotation.inverse() * camera.ray_from_pixel(picked.pixel),
                 ray_std: PICKED_STD_PX / camera.mean_focal(),
-                east_north_m: self.map.from_geodetic(place).coords.xy(),
+                position_m: self.map.from_geodetic(place),
                 std_m: MAP_STD_M,
             })
         };
@@ -402,7 +407,10 @@ pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal
     survey.points(background, 0.0).map_err(|problem| wrong(path, problem))?;
     let points_at = |log_focal| survey.points(background, log_focal).unwrap_or_default();
     let alignment = camera_over_map(points_at, focal_std).map_err(|error| wrong(path, error))?;
-    Ok(Some(OnMap { alignment, map: survey.map }))
+    let world_from_metric = alignment.metric_from_world.inverse();
+    let points = points_at(0.0).into_iter().filter(|_| survey.map.origin.knows_height);
+    let relief_in_world = points.map(|point| world_from_metric * point.position_m).collect();
+    Ok(Some(OnMap { alignment, map: survey.map, relief_in_world }))
 }
 
 /// A camera that does not translate with the focal length that the points of a map show, and its standard deviation as

@@ -41,8 +41,9 @@ pub struct MetricOptions {
     /// deviation: `"45±1"`.
     #[schemars(with = "Option<String>", extend("unit" = "degrees, as text"))]
     pub camera_pitch: Option<Measured>,
-    /// GeoJSON file of at least four points of level ground with the pixel (properties `x`, `y`) at which a camera that
-    /// does not translate sees them in a frame (`frame`, index in the source; `null` is the first one).
+    /// GeoJSON file of at least four points of the ground with the pixel (properties `x`, `y`) at which a camera that
+    /// does not translate sees them in a frame (`frame`, index in the source; `null` is the first one). The ground is
+    /// level, or follows the points where all have heights.
     pub map_points: Option<PathBuf>,
     /// Meters per unit of the background, with standard deviation: `"12.3±0.1"`.
     #[schemars(with = "Option<String>", extend("unit" = "metres per unit, as text"))]

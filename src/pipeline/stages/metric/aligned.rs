@@ -79,7 +79,7 @@ pub(super) fn hovering(
 ) -> Result<(Option<Aligned>, Option<Source>)> {
     let focal_std = background::focal_deviation(run)?.unwrap_or(0.0);
     let of_map = hovering::on_map_points(&run.options.metric, background, focal_std)?;
-    let of_map = of_map.map(|OnMap { alignment, map }| {
+    let of_map = of_map.map(|OnMap { alignment, map, .. }| {
         describe(&alignment, outcome);
         let source = Some(alignment.source("map points", Kind::Surveyed));
         Aligned { alignment, map, source, clock_offset_s: None }
