@@ -56,6 +56,16 @@ pub enum MapPointsError {
     },
 }
 
+/// Fewest points of which one can contradict the others: without it they must have more numbers than pose and focal
+/// length.
+const FEWEST_FOR_DOUBT: usize = 6;
+/// Points of which each is left out in turn, those with the largest residuals: one that has drawn pose and focal length
+/// to it has a small one, but cannot among so many.
+const MAX_SUSPECTS: usize = 30;
+/// Standard deviations beyond which a point contradicts the others; of twenty right ones the worst is at about three.
+const ODD_DEVIATIONS: f64 = 5.0;
+/// Standard deviation of a guessed focal length's logarithm.
+const GUESSED_STD: f64 = 0.75;
 /// Root-mean-square residual beyond which points contradict each other, in stated standard deviations.
 const MAX_DEVIATIONS: f64 = 4.0;
 
@@ -100,20 +110,19 @@ impl Fit {
     }
 }
 
-/// The focal length that points of a map show: logarithm of a factor and its standard deviation; `None` where they
-/// place no camera.
-///
-/// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
-/// * `prior_std` – standard deviation of the logarithm beforehand.
-pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> Option<(f64, f64)> {
-    let squares = |log_focal: f64| {
-        let fit = Fit::of(&points_at(log_focal)).ok().filter(|fit| fit.pose.center.z > 0.0);
-        fit.map_or(f64::INFINITY, |fit| fit.squares + (log_focal / prior_std).powi(2))
-    };
+/// The sum of squares at a focal length, that of its prior included.
+fn squares_at(points_at: &impl Fn(f64) -> Vec<MapPoint>, log_focal: f64, prior_std: f64) -> f64 {
+    let fit = Fit::of(&points_at(log_focal)).ok().filter(|fit| fit.pose.center.z > 0.0);
+    fit.map_or(f64::INFINITY, |fit| fit.squares + (log_focal / prior_std).powi(2))
+}
+
+/// Logarithm of the factor to the focal length with the least sum of squares.
+fn best_focal(points_at: &impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> f64 {
     // Within 2.5 standard deviations: of a guessed focal length (±40 %) steps of 2.5 %, less than points of a map tell.
     let mut step = 2.5 * prior_std / 40.0;
     let least = |values: &mut dyn Iterator<Item = f64>| {
-        values.map(|at| (squares(at), at)).min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, at)| at)
+        let squares = values.map(|at| (squares_at(points_at, at, prior_std), at));
+        squares.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, at)| at)
     };
     let mut best = least(&mut (-40..=40).map(|k| f64::from(k) * step));
     for _ in 0..4 {
@@ -121,6 +130,43 @@ pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) 
         best = least(&mut (-5..=5).map(|k| middle + f64::from(k) * finer));
         step = finer;
     }
+    best
+}
+
+/// The point that alone contradicts the others, and its distance from where they put it, metres: without it they fit
+/// far better. A focal length that is not held would give way to it, so that it is found again without the point.
+fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, focal_std: f64) -> Option<(usize, f64)> {
+    let points = points_at(0.0);
+    let share = |k: &usize| fit.pose.residual(&points[*k]).norm_squared() / fit.pose.variance(&points[*k]);
+    let mut suspects: Vec<usize> = (0..points.len()).filter(|_| points.len() >= FEWEST_FOR_DOUBT).collect();
+    suspects.sort_by(|a, b| share(b).total_cmp(&share(a)));
+    let without = |&k: &usize| {
+        let others_at = |log_focal: f64| {
+            let mut others = points_at(log_focal);
+            others.remove(k);
+            others
+        };
+        let log_focal = if focal_std > 0.0 { best_focal(&others_at, GUESSED_STD) } else { 0.0 };
+        let others = Fit::of(&others_at(log_focal)).ok()?;
+        let variance = (others.squares / others.freedom as f64).max(1.0);
+        let deviations = ((fit.squares - others.squares) / (2.0 * variance)).sqrt();
+        let MapPoint { ray_in_world, position_m, .. } = points_at(log_focal)[k];
+        let seen_m = others.pose.at_height(&ray_in_world, position_m.z)?;
+        Some((deviations, (k + 1, (seen_m - position_m.coords.xy()).norm())))
+    };
+    let found = suspects.iter().take(MAX_SUSPECTS).filter_map(without);
+    let worst = found.filter(|(deviations, _)| *deviations > ODD_DEVIATIONS).max_by(|a, b| a.0.total_cmp(&b.0));
+    worst.map(|(_, point)| point)
+}
+
+/// The focal length that points of a map show: logarithm of a factor and its standard deviation; `None` where they
+/// place no camera.
+///
+/// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
+/// * `prior_std` – standard deviation of the logarithm beforehand.
+pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> Option<(f64, f64)> {
+    let squares = |log_focal: f64| squares_at(&points_at, log_focal, prior_std);
+    let best = best_focal(&points_at, prior_std);
     let fit = Fit::of(&points_at(best)).ok()?;
     // Wide enough for the differences to be above roundings.
     let reach = (0.01 * prior_std).max(1e-4);
@@ -146,13 +192,19 @@ pub fn camera_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, focal_std: f64)
     if !(height > 0.0 && factor.is_finite()) {
         return Err(MapPointsError::NoCamera);
     }
+    if let Some((index, off_m)) = odd_one_out(&points_at, &fit, focal_std) {
+        return Err(MapPointsError::Contradiction { index, off_m });
+    }
     if factor > MAX_DEVIATIONS {
         let off_m = |point: &MapPoint| {
             let at = pose.at_height(&point.ray_in_world, point.position_m.z);
             at.map_or(f64::INFINITY, |at| (at - point.position_m.coords.xy()).norm())
         };
-        let (index, off_m) = (1..).zip(points.iter().map(off_m)).max_by(|a, b| a.1.total_cmp(&b.1)).unwrap_or_default();
-        return Err(MapPointsError::Contradiction { index, off_m });
+        let worst = (1..).zip(points.iter().map(off_m)).max_by(|a, b| a.1.total_cmp(&b.1));
+        let worst = worst.filter(|(_, off_m)| off_m.is_finite());
+        return Err(
+            worst.map_or(MapPointsError::NoCamera, |(index, off_m)| MapPointsError::Contradiction { index, off_m })
+        );
     }
     let of_pose = information.try_inverse().ok_or(MapPointsError::TooFew(points.len()))? * factor.max(1.0).powi(2);
     let middle = points.iter().map(|point| point.position_m.coords.xy()).sum::<Vector2<f64>>() / points.len() as f64;
@@ -410,6 +462,36 @@ mod tests {
         let off = camera_over_map(|_| flat.clone(), 0.0)
             .map(|found| Point3::from(found.metric_from_world.translation) - center);
         assert!(off.is_err() || off.is_ok_and(|off| off.norm() > 1.0));
+    }
+
+    #[test]
+    fn a_wrong_point_is_named_and_does_not_bend_the_focal_length() {
+        let (rotation, center) = (metric_from_cam(0.1, -0.7, 0.02), Point3::new(3.0, -2.0, 50.0));
+        let (mut named, mut refused) = (0, 0);
+        for seed in 0..10 {
+            let mut rng = seeded_rng(seed, 1);
+            let mut noise = || 0.2 * rng.sample::<f64, _>(StandardNormal);
+            let right: Vec<MapPoint> = (0..9)
+                .map(|k| [f64::from(k % 3) * 25.0 - 25.0, f64::from(k / 3) * 25.0 + 30.0])
+                .map(|[east, north]| MapPoint {
+                    ray_in_world: (rotation.inverse() * (Point3::new(east, north, 0.0) - center)).normalize(),
+                    ray_std: 1e-3,
+                    position_m: Point3::new(east + noise(), north + noise(), noise()),
+                    std_m: 0.3,
+                })
+                .collect();
+            let mut wrong = right.clone();
+            let index = 1 + seed as usize % 9;
+            wrong[index - 1].position_m.z += 12.0;
+            let placed = |points: &[MapPoint]| {
+                let (log_focal, std) = focal_over_map(|log| zoomed(points, log), 0.75).unwrap_or((0.0, 0.75));
+                camera_over_map(|log| zoomed(points, log_focal + log), std)
+            };
+            refused += i32::from(placed(&right).is_err());
+            let found = placed(&wrong).err();
+            named += i32::from(matches!(found, Some(MapPointsError::Contradiction { index: k, .. }) if k == index));
+        }
+        assert!(named >= 9 && refused == 0, "{named} {refused}");
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Evidence on a camera that does not translate: options, a log, and points of a map.
 
 use std::fmt::Display;
+use std::ops::RangeInclusive;
 use std::path::Path;
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
@@ -306,6 +307,8 @@ fn is_in_frame(pixel: Point2<f64>, (width, height): (u32, u32)) -> bool {
     (0.0..=f64::from(width)).contains(&pixel.x) && (0.0..=f64::from(height)).contains(&pixel.y)
 }
 
+/// Heights on Earth, meters.
+const HEIGHTS_M: RangeInclusive<f64> = -1000.0..=9000.0;
 /// Fewest points of a map: a homography has eight numbers.
 const FEWEST_POINTS: usize = 4;
 
@@ -343,6 +346,9 @@ impl Survey {
                 return Err(wrong(path, format!("point {number}: {cure}")));
             }
             let height_m = geometry.coordinates.get(2).copied();
+            if height_m.is_some_and(|height_m| !HEIGHTS_M.contains(&height_m)) {
+                return Err(wrong(path, format!("point {number}: the height must be meters, from -1000 to 9000")));
+            }
             let Properties { x, y, frame } = properties;
             Ok(Picked { pixel: Point2::new(x, y), frame, longitude_deg, latitude_deg, height_m })
         };
