@@ -103,6 +103,26 @@ def on_mesh(truth: Truth, vertices: np.ndarray, frame: int, pixel: np.ndarray) -
     return at if nearest < SPACING_M else None
 
 
+def picked(sequence: Path, truth: Truth, r: np.random.Generator, heights: bool) -> list[dict]:
+    """Points of a map as GeoJSON features, with errors; with ``heights`` on the ground as it is, at parked cars too."""
+    features = []
+    size = np.array([truth.scene["width"], truth.scene["height"]])
+    vertices = read_ply(sequence / "ground_mesh.ply")[0] if heights else np.empty((0, 3))
+    pixels = [np.array(share) * size for share in PICKED]
+    if heights:
+        seen = [in_image(truth, 0, np.array(car["position"])) for car in truth.scene.get("parked", [])]
+        pixels += [pixel for pixel in seen if pixel is not None and (pixel > 0).all() and (pixel < size).all()]
+    for pixel in pixels:
+        at = on_mesh(truth, vertices, 0, pixel) if heights else truth.on_ground(0, pixel)
+        if at is None:
+            continue
+        place = [*to_map(at[:2] + r.normal(0, MAP_STD, 2)), *([400 + at[2] + r.normal(0, MAP_STD)] if heights else [])]
+        x, y = pixel + r.normal(0, PIXEL_STD, 2)
+        geometry = {"type": "Point", "coordinates": place}
+        features.append({"type": "Feature", "geometry": geometry, "properties": {"x": x, "y": y}})
+    return features
+
+
 def write_inputs(sequence: Path, output: Path, seed: int, heights: bool) -> None:
     """Writes video.SRT and points.geojson, with ``heights`` of points of the ground as it is, and copies the video."""
     output.mkdir(parents=True, exist_ok=True)
@@ -130,20 +150,7 @@ def write_inputs(sequence: Path, output: Path, seed: int, heights: bool) -> None
             "",
         ]
     (output / "video.SRT").write_text("\n".join(lines))
-    features = []
-    vertices, size = read_ply(sequence / "ground_mesh.ply")[0], np.array([truth.scene["width"], truth.scene["height"]])
-    pixels = [np.array(share) * size for share in PICKED]
-    if heights:
-        seen = [in_image(truth, 0, np.array(car["position"])) for car in truth.scene.get("parked", [])]
-        pixels += [pixel for pixel in seen if pixel is not None and (pixel > 0).all() and (pixel < size).all()]
-    for pixel in pixels:
-        at = on_mesh(truth, vertices, 0, pixel) if heights else truth.on_ground(0, pixel)
-        if at is None:
-            continue
-        place = [*to_map(at[:2] + r.normal(0, MAP_STD, 2)), *([400 + at[2] + r.normal(0, MAP_STD)] if heights else [])]
-        x, y = pixel + r.normal(0, PIXEL_STD, 2)
-        geometry = {"type": "Point", "coordinates": place}
-        features.append({"type": "Feature", "geometry": geometry, "properties": {"x": x, "y": y}})
+    features = picked(sequence, truth, r, heights)
     (output / "points.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": features}, indent=1))
 
 

@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix3, Point3, Vector2, Vector3};
 
 use super::Options;
-use super::plane::UNEVENNESS;
+use super::plane::{UNEVENNESS, common_factor};
 use super::vehicle_trajectory::{BodyShape, VehiclePosition, VehicleTrajectory};
 use crate::math::{Neighbors, STD_PER_MAD, any_across, is_finite, median};
 use crate::scene::{FrameId, GroundPlane, PlaneBasis, Point3dId, Reconstruction};
@@ -131,7 +131,7 @@ impl<'a> Driven<'a> {
             basis: PlaneBasis::Path,
             height_std: slope.above_std.hypot(common),
             common_height_std: common,
-            tilt_std: (slope.tilt_std * (common / slope.above_std).hypot(1.0)).min(TILT),
+            tilt_std: (slope.tilt_std * common_factor(slope.above_std, slope.rms)).min(TILT),
         };
         Some(Fit { plane, above: slope.above, roughness: slope.rms / place.pixel })
     }

@@ -131,7 +131,7 @@ const MIN_INCLINATION: f64 = 0.03;
 const NUM_PITCHES: usize = 120;
 const PITCH_STEP: f64 = (MAX_INCLINATION - MIN_INCLINATION) / NUM_PITCHES as f64;
 /// Standard deviation of the ground's height below a vehicle as a share of the camera's: slopes and kerbs.
-const UNEVENNESS: f64 = 0.01;
+pub(super) const UNEVENNESS: f64 = 0.01;
 
 /// The ground that explains the sizes of vehicles and other sources; `None` where they do not determine it.
 ///
@@ -608,7 +608,7 @@ mod tests {
     use std::f64::consts::FRAC_PI_2;
 
     use crate::math::{Rigid3, seeded_rng};
-    use crate::scene::{CameraId, ImageId};
+    use crate::scene::{CameraId, ImageId, Observation, Point3dId};
     use rand::Rng as _;
     use rand_distr::StandardNormal;
 
@@ -744,10 +744,7 @@ mod tests {
             .map(|[x, y]| foot + Vector3::x() * x + up.cross(&Vector3::x()) * y + up * 0.1)
             .collect();
         let image = background.images.values_mut().next().unwrap();
-        image.observations = vec![crate::scene::Observation {
-            pixel: Point2::new(640.0, 360.0),
-            point: Some(crate::scene::Point3dId(0)),
-        }];
+        image.observations = vec![Observation { pixel: Point2::new(640.0, 360.0), point: Some(Point3dId(0)) }];
         let height = |relief_in_world: Vec<Point3<f64>>| {
             let kind = TiltKind::Map { relief_in_world };
             let tilt = StatedTilt { kind, ..StatedTilt::of_up("map", &up, &(Matrix3::identity() * 4e-4)) };

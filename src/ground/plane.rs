@@ -56,6 +56,15 @@ pub(super) struct Plane {
     slopes: [(Vector3<f64>, f64); 2],
 }
 
+/// Factor on standard deviations of slopes by the scatter of points alone: what does not average out in the height does
+/// not in them.
+///
+/// * `height_std` – standard deviation of the height by the scatter alone.
+/// * `rms` – of the distances of the points.
+pub(super) fn common_factor(height_std: f64, rms: f64) -> f64 {
+    (UNEVENNESS * rms / height_std.max(f64::MIN_POSITIVE)).hypot(1.0)
+}
+
 impl Plane {
     pub(super) fn distance(&self, point: &Point3<f64>) -> f64 {
         self.normal.dot(&(point - self.point))
@@ -63,8 +72,8 @@ impl Plane {
 
     /// Standard deviation of the larger of the two slopes, radians, with what does not average out.
     pub(super) fn tilt_std(&self) -> f64 {
-        let common = (UNEVENNESS * self.rms).powi(2) / self.height_var.max(f64::MIN_POSITIVE);
-        (self.slopes[0].1.max(self.slopes[1].1) * (1.0 + common)).sqrt()
+        let slope_std = self.slopes[0].1.max(self.slopes[1].1).sqrt();
+        slope_std * common_factor(self.height_var.sqrt(), self.rms)
     }
 
     /// Standard deviation of the height at a place of the plane.

@@ -6,14 +6,14 @@
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
+use super::hovering::UNEVENNESS;
 use crate::math::{STD_PER_MAD, any_across, median};
 
 /// ε, in heights of the camera: errors of nearer points average out.
 const REACH: f64 = 0.1;
-/// Standard deviation of the slopes of roads.
-const SLOPE_STD: f64 = 0.1;
-/// Standard deviation of a point's height, in heights of the camera.
-const HEIGHT_STD: f64 = 0.01;
+/// Standard deviation of slopes where heights are given: steep streets, or there would be no need for them. With 2°, of
+/// roads in general, an inclined plane through points at usual distances comes out half as steep.
+const STEEP_STD: f64 = 0.1;
 
 /// Points of the ground, in units of the camera's height.
 pub(super) struct Relief<'a> {
@@ -53,7 +53,7 @@ impl<'a> Relief<'a> {
             .collect();
         let weight = |off: &Vector3<f64>| (off.xy().norm_squared() + REACH * REACH).powi(-2);
         let largest = offsets.iter().map(weight).fold(0.0, f64::max);
-        let prior = (HEIGHT_STD / SLOPE_STD).powi(2);
+        let prior = (UNEVENNESS / STEEP_STD).powi(2);
         let mut information = Matrix3::from_diagonal(&Vector3::new(0.0, prior, prior));
         let mut right_side = Vector3::zeros();
         for off in &offsets {

@@ -3,7 +3,7 @@
 use super::Intrinsics;
 use super::rotating_camera::{RotatingCamera, rotating_camera};
 use super::vanishing_points::{LineNormal, ViewSegments, horizon};
-use crate::camera::Camera;
+use crate::camera::{Camera, GUESSED_FOCAL_STD};
 use crate::features::lines::ImageLines;
 use crate::features::tracks::TrackTable;
 
@@ -22,11 +22,6 @@ pub struct HoveringCamera {
 /// Error of a turn between views by a wrong focal length that no line shows, radians.
 const SMALL_TURN: f64 = 0.002;
 
-/// Standard deviation of the focal length's logarithm where it is a guess and nothing shows it: cameras on poles and
-/// bridges may have long lenses. Of six real ones three were within a factor of 1.5 of the guess, three several times
-/// as long.
-const GUESS_STD: f64 = 0.75;
-
 /// The camera of views that rotations explain; `None` for others.
 ///
 /// * `lines` – of some of the views.
@@ -40,7 +35,7 @@ pub fn hovering_camera(
     let rotations = rotating_camera(table, camera)?;
     let posed = rotated(lines, table, &rotations);
     let Some((mut normal, mut log_focal)) = horizon(&posed, camera, focal_std) else {
-        let focal_std = if focal_std == Intrinsics::GUESSED.focal { GUESS_STD } else { focal_std };
+        let focal_std = if focal_std == Intrinsics::GUESSED.focal { GUESSED_FOCAL_STD } else { focal_std };
         return Some(HoveringCamera { rotations, camera: *camera, focal_std, by_lines: None });
     };
     let rotations = rotating_camera(table, &camera.zoomed(log_focal[0].exp()))?;

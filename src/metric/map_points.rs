@@ -20,6 +20,7 @@ use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuat
 
 use super::Alignment;
 use super::align::Covariance;
+use crate::camera::GUESSED_FOCAL_STD;
 use crate::math::{Sim3, homography_from_points, svd3};
 
 /// A point of the map and the ray on which a camera at the origin of the background sees it.
@@ -64,8 +65,6 @@ const FEWEST_FOR_DOUBT: usize = 6;
 const MAX_SUSPECTS: usize = 30;
 /// Standard deviations beyond which a point contradicts the others; of twenty right ones the worst is at about three.
 const ODD_DEVIATIONS: f64 = 5.0;
-/// Standard deviation of a guessed focal length's logarithm.
-const GUESSED_STD: f64 = 0.75;
 /// Root-mean-square residual beyond which points contradict each other, in stated standard deviations.
 const MAX_DEVIATIONS: f64 = 4.0;
 
@@ -137,8 +136,12 @@ fn best_focal(points_at: &impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> f64 
 /// far better. A focal length that is not held would give way to it, so that it is found again without the point.
 fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, focal_std: f64) -> Option<(usize, f64)> {
     let points = points_at(0.0);
+    // Without a point no more squares can go than there are.
+    if points.len() < FEWEST_FOR_DOUBT || fit.squares <= 2.0 * ODD_DEVIATIONS.powi(2) {
+        return None;
+    }
     let share = |k: &usize| fit.pose.residual(&points[*k]).norm_squared() / fit.pose.variance(&points[*k]);
-    let mut suspects: Vec<usize> = (0..points.len()).filter(|_| points.len() >= FEWEST_FOR_DOUBT).collect();
+    let mut suspects: Vec<usize> = (0..points.len()).collect();
     suspects.sort_by(|a, b| share(b).total_cmp(&share(a)));
     let without = |&k: &usize| {
         let others_at = |log_focal: f64| {
@@ -146,7 +149,7 @@ fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, focal_std: 
             others.remove(k);
             others
         };
-        let log_focal = if focal_std > 0.0 { best_focal(&others_at, GUESSED_STD) } else { 0.0 };
+        let log_focal = if focal_std > 0.0 { best_focal(&others_at, GUESSED_FOCAL_STD) } else { 0.0 };
         let others = Fit::of(&others_at(log_focal)).ok()?;
         let variance = (others.squares / others.freedom as f64).max(1.0);
         let deviations = ((fit.squares - others.squares) / (2.0 * variance)).sqrt();
@@ -484,7 +487,8 @@ mod tests {
             let index = 1 + seed as usize % 9;
             wrong[index - 1].position_m.z += 12.0;
             let placed = |points: &[MapPoint]| {
-                let (log_focal, std) = focal_over_map(|log| zoomed(points, log), 0.75).unwrap_or((0.0, 0.75));
+                let (log_focal, std) =
+                    focal_over_map(|log| zoomed(points, log), GUESSED_FOCAL_STD).unwrap_or((0.0, GUESSED_FOCAL_STD));
                 camera_over_map(|log| zoomed(points, log_focal + log), std)
             };
             refused += i32::from(placed(&right).is_err());

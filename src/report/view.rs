@@ -120,7 +120,7 @@ fn up(data: &Data) -> (Vector3<f64>, &'static str) {
         }
     }
     match data.metric.and_then(metres::frame).filter(|frame| frame.origin.is_some()) {
-        Some(frame) => (frame.metric_from_world().rotation.inverse() * Vector3::z(), "vertical of the telemetry"),
+        Some(frame) => (frame.metric_from_world().rotation.inverse() * Vector3::z(), "vertical of the map"),
         None => (mean_camera_up(background), "mean upward axis of the cameras"),
     }
 }
