@@ -20,7 +20,6 @@ use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuat
 
 use super::Alignment;
 use super::align::Covariance;
-use crate::camera::GUESSED_FOCAL_STD;
 use crate::math::{Sim3, homography_from_points, svd3};
 
 /// A point of the map and the ray on which a camera at the origin of the background sees it.
@@ -134,7 +133,7 @@ fn best_focal(points_at: &impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> f64 
 
 /// The point that alone contradicts the others, and its distance from where they put it, metres: without it they fit
 /// far better. A focal length that is not held would give way to it, so that it is found again without the point.
-fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, focal_std: f64) -> Option<(usize, f64)> {
+fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, prior_std: f64) -> Option<(usize, f64)> {
     let points = points_at(0.0);
     // Without a point no more squares can go than there are.
     if points.len() < FEWEST_FOR_DOUBT || fit.squares <= 2.0 * ODD_DEVIATIONS.powi(2) {
@@ -149,7 +148,7 @@ fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, focal_std: 
             others.remove(k);
             others
         };
-        let log_focal = if focal_std > 0.0 { best_focal(&others_at, GUESSED_FOCAL_STD) } else { 0.0 };
+        let log_focal = if prior_std > 0.0 { best_focal(&others_at, prior_std) } else { 0.0 };
         let others = Fit::of(&others_at(log_focal)).ok()?;
         let variance = (others.squares / others.freedom as f64).max(1.0);
         let deviations = ((fit.squares - others.squares) / (2.0 * variance)).sqrt();
@@ -183,10 +182,15 @@ pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) 
 ///
 /// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
 /// * `focal_std` – standard deviation of that logarithm, these points included.
+/// * `prior_std` – the same without them; 0 where it is held.
 ///
 /// # Errors
 /// [`MapPointsError`].
-pub fn camera_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, focal_std: f64) -> Result<Alignment, MapPointsError> {
+pub fn camera_over_map(
+    points_at: impl Fn(f64) -> Vec<MapPoint>,
+    focal_std: f64,
+    prior_std: f64,
+) -> Result<Alignment, MapPointsError> {
     let points = points_at(0.0);
     let fit = Fit::of(&points)?;
     let factor = fit.factor(0);
@@ -195,7 +199,7 @@ pub fn camera_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, focal_std: f64)
     if !(height > 0.0 && factor.is_finite()) {
         return Err(MapPointsError::NoCamera);
     }
-    if let Some((index, off_m)) = odd_one_out(&points_at, &fit, focal_std) {
+    if let Some((index, off_m)) = odd_one_out(&points_at, &fit, prior_std) {
         return Err(MapPointsError::Contradiction { index, off_m });
     }
     if factor > MAX_DEVIATIONS {
@@ -409,7 +413,7 @@ mod tests {
                     true => focal_over_map(at, prior_std).unwrap(),
                     false => (0.0, 0.0),
                 };
-                let found = camera_over_map(|log| at(log_focal + log), std).unwrap();
+                let found = camera_over_map(|log| at(log_focal + log), std, prior_std).unwrap();
                 for [east, north] in SEEN {
                     let truth = Vector3::new(east, north, 0.0);
                     let ray = metric_from_cam(0.1, -0.7, 0.02).inverse() * (truth - center.coords);
@@ -440,7 +444,7 @@ mod tests {
     #[test]
     fn four_points_place_the_camera() {
         let (points, rotation, center) = points(4, 0.0, 0);
-        let found = camera_over_map(|_| points.clone(), 0.0).unwrap();
+        let found = camera_over_map(|_| points.clone(), 0.0, 0.0).unwrap();
         assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
         assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
     }
@@ -453,7 +457,7 @@ mod tests {
             MapPoint { position_m, ray_in_world: (rotation.inverse() * (position_m - center)).normalize(), ..*point }
         };
         let on_hill: Vec<MapPoint> = level.iter().enumerate().map(lifted).collect();
-        let found = camera_over_map(|_| on_hill.clone(), 0.0).unwrap();
+        let found = camera_over_map(|_| on_hill.clone(), 0.0, 0.0).unwrap();
         assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
         assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
         // The heights left out, the same points place the camera elsewhere, if at all.
@@ -462,7 +466,7 @@ mod tests {
             ..*point
         };
         let flat: Vec<MapPoint> = on_hill.iter().map(flat).collect();
-        let off = camera_over_map(|_| flat.clone(), 0.0)
+        let off = camera_over_map(|_| flat.clone(), 0.0, 0.0)
             .map(|found| Point3::from(found.metric_from_world.translation) - center);
         assert!(off.is_err() || off.is_ok_and(|off| off.norm() > 1.0));
     }
@@ -487,9 +491,8 @@ mod tests {
             let index = 1 + seed as usize % 9;
             wrong[index - 1].position_m.z += 12.0;
             let placed = |points: &[MapPoint]| {
-                let (log_focal, std) =
-                    focal_over_map(|log| zoomed(points, log), GUESSED_FOCAL_STD).unwrap_or((0.0, GUESSED_FOCAL_STD));
-                camera_over_map(|log| zoomed(points, log_focal + log), std)
+                let (log_focal, std) = focal_over_map(|log| zoomed(points, log), 0.75).unwrap_or((0.0, 0.75));
+                camera_over_map(|log| zoomed(points, log_focal + log), std, 0.75)
             };
             refused += i32::from(placed(&right).is_err());
             let found = placed(&wrong).err();
@@ -513,7 +516,7 @@ mod tests {
     #[test]
     fn points_that_place_no_camera_are_refused() {
         let (all, ..) = points(5, 0.0, 0);
-        let camera = |points: &[MapPoint]| camera_over_map(|_| points.to_vec(), 0.0);
+        let camera = |points: &[MapPoint]| camera_over_map(|_| points.to_vec(), 0.0, 0.0);
         assert!(matches!(camera(&all[..3]), Err(MapPointsError::TooFew(3))));
         assert!(camera(&[]).is_err());
         let swapped = |point: &MapPoint| MapPoint { position_m: point.position_m.yxz(), ..*point };

@@ -10,7 +10,7 @@ use serde_json::{Value, json};
 
 use super::telemetry::{Origin, Telemetry};
 use super::{alignment, attitude, clock_offsets, telemetry};
-use crate::camera::{Camera, SLOPE_STD};
+use crate::camera::{Camera, GUESSED_FOCAL_STD, SLOPE_STD};
 use crate::features::TrackTable;
 use crate::ground::{StatedTilt, TiltKind};
 use crate::io;
@@ -412,7 +412,8 @@ pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal
     let survey = Survey::read(path)?;
     survey.points(background, 0.0).map_err(|problem| wrong(path, problem))?;
     let points_at = |log_focal| survey.points(background, log_focal).unwrap_or_default();
-    let alignment = camera_over_map(points_at, focal_std).map_err(|error| wrong(path, error))?;
+    let prior_std = if focal_std > 0.0 { GUESSED_FOCAL_STD } else { 0.0 };
+    let alignment = camera_over_map(points_at, focal_std, prior_std).map_err(|error| wrong(path, error))?;
     let world_from_metric = alignment.metric_from_world.inverse();
     let points = points_at(0.0).into_iter().filter(|_| survey.map.origin.knows_height);
     let relief_in_world = points.map(|point| world_from_metric * point.position_m).collect();
