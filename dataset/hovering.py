@@ -5,7 +5,8 @@
 kind by a seed. ``compare`` states the errors of a run's ground tracks, parked cars apart, and of a homography from
 the image to four and more points of the map with frames registered to the first one, at the middles of the same masks
 (geo-trax's way).
-``recall`` states in how many frames a run has masks of the driven vehicles. ``plane`` states the error of the ground's
+``recall`` states in how many frames a run has masks of the driven vehicles, ``masks`` how well those of its ground
+tracks agree with the true ones. ``plane`` states the error of the ground's
 normal, of each of its sources, and of the focal length. ``sizes`` states the errors of lengths, widths and axes by
 ground tracks, and of meters. ``relief`` states how much larger the driven vehicle looks on the ground than on one
 plane, and how much its masks vary.
@@ -39,8 +40,8 @@ SPACING_M = 3.0
 MIDDLE_M = 0.7
 # Distance within which positions are those of a true vehicle, metres; of a parked car half of the 5.5 m between bays.
 NEAR_M, NEAR_PARKED_M = 8.0, 2.7
-# Fewest pixels of a mask whose size counts.
-MIN_AREA = 40
+# Fewest pixels of a mask whose size counts, fewest masks on a vehicle.
+MIN_AREA, MIN_MASKS = 40, 6
 
 
 @dataclass
@@ -307,6 +308,30 @@ def recall(sequence: Path, run: Path) -> None:
             print(f"{vehicle}, {mean:.0f} px: {hits} of {len(frames)} frames, {len(ids)} ids")
 
 
+def masks(sequence: Path, run: Path) -> None:
+    """Prints the mean intersection over union of the masks of ground tracks with the driven vehicles they lie on."""
+    truth, means = Truth.read(sequence), []
+    for track in json.loads((run / "trajectories.json").read_text())["ground_tracks"]:
+        overlaps = []
+        for frame in track["frames"]:
+            name = f"{frame['name']}.png"
+            mask = cv2.imread(str(run / "tracks" / str(track["id"]) / name), cv2.IMREAD_GRAYSCALE)
+            labels = cv2.imread(str(sequence / truth.scene["frames"][frame["frame"]]["mask"]), cv2.IMREAD_GRAYSCALE)
+            if mask is None:
+                continue
+            mask, vehicles = mask > 0, cv2.connectedComponents((labels > 0).astype(np.uint8))[1]
+            shared = np.bincount(vehicles[mask])[1:]
+            # A mask that shares less with a vehicle is of another thing.
+            if len(shared) and shared.max() >= 0.2 * mask.sum():
+                true = vehicles == 1 + int(np.argmax(shared))
+                overlaps.append((mask & true).sum() / (mask | true).sum())
+        if len(overlaps) >= MIN_MASKS:
+            means.append(float(np.mean(overlaps)))
+            print(f"ground track {track['id']}: IoU {means[-1]:.3f} in {len(overlaps)} frames")
+    if means:
+        print(f"all {len(means)}: IoU {np.mean(means):.3f}")
+
+
 def plane(sequence: Path, run: Path) -> None:
     """Prints the errors of the ground's normal in the first frame and of the focal length."""
     truth = Truth.read(sequence)
@@ -450,6 +475,7 @@ def _in_world(truth: Truth, pose: dict, image: tuple[np.ndarray, np.ndarray], sc
 # What is stated of a sequence and a run, and its help.
 OF_A_RUN = {
     "recall": (recall, "frames in which a run has masks of the driven vehicles"),
+    "masks": (masks, "agreement of the masks of ground tracks with the true ones"),
     "plane": (plane, "errors of the ground's normal and of the focal length"),
     "sizes": (sizes, "errors of lengths, widths and axes of ground tracks, and of meters"),
     "relief": (relief, "what the ground's shape changes of the driven vehicle's size"),

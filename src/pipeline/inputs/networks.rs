@@ -12,6 +12,7 @@ use crate::networks::{
 };
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::Run;
+use crate::pipeline::stages::background::hovers;
 use crate::pipeline::{DetectorChoice, MaskChoice, Options, Result};
 
 /// Available networks of those that the options choose.
@@ -73,7 +74,7 @@ impl Networks {
     /// Segmenter of boxes: mask networks, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>> {
         let (options, resources) = (&run.options.prompt, run.options.resources());
-        Ok(match &self.masks[..] {
+        Ok(match serving(&self.masks, hovers(run)) {
             [small] => load_small_box_segmenter(small, options, resources)?,
             [small, encoder, decoder] => Box::new(BySize {
                 small: load_small_box_segmenter(small, options, resources)?,
@@ -107,6 +108,12 @@ pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<V
     let hashes = files.iter().map(|path| fingerprint::of_content(path)).collect::<Result<Vec<_>, _>>()?;
     let provider = (!files.is_empty()).then_some(run.options.provider);
     Ok(json!({ "files": hashes, "provider": provider }))
+}
+
+/// Mask networks that are asked: below a camera that does not translate the small one alone
+/// (docs/decisions/043-masks-below-a-hovering-camera.md).
+fn serving(masks: &[PathBuf], hovers: bool) -> &[PathBuf] {
+    if hovers { &masks[..masks.len().min(1)] } else { masks }
 }
 
 /// Returns true if files are, byte for byte, networks for a task that come with the program: those are known to work,
@@ -182,6 +189,13 @@ mod tests {
         assert!(known(&detector, "boxes") && known(&mask_encoder, "box-masks") && known(&mask_decoder, "box-masks"));
         assert!(known(&small_masks, "box-masks"));
         assert!(!known(&mask_decoder, "boxes") && !known(&detector, "box-masks"));
+    }
+
+    #[test]
+    fn the_small_network_serves_alone_below_a_camera_that_does_not_translate() {
+        let masks = Networks::chosen(&Options::default(), Ok(there())).unwrap().masks;
+        assert_eq!((serving(&masks, false), serving(&masks, true)), (&masks[..], &["s".into()][..]));
+        assert!(serving(&[], true).is_empty());
     }
 
     #[test]

@@ -38,7 +38,8 @@ impl FromStr for DetectorChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Default, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum MaskChoice {
-    /// Bundled network `MobileSAM`, for boxes below 20 pixels the small one.
+    /// Bundled network `MobileSAM`; the small one for boxes below 20 pixels, and for all where the camera does not
+    /// translate.
     #[default]
     Default,
     /// Small bundled network for all boxes: a fifteenth of the time, and other outlines on real images.
