@@ -6,10 +6,9 @@ kind by a seed. ``compare`` states the errors of a run's ground tracks, parked c
 the image to four and more points of the map with frames registered to the first one, at the middles of the same masks
 (geo-trax's way).
 ``recall`` states in how many frames a run has masks of the driven vehicles, ``masks`` how well those of its ground
-tracks agree with the true ones. ``plane`` states the error of the ground's
-normal, of each of its sources, and of the focal length. ``sizes`` states the errors of lengths, widths and axes by
-ground tracks, and of meters. ``relief`` states how much larger the driven vehicle looks on the ground than on one
-plane, and how much its masks vary.
+tracks agree with the true ones. ``plane`` states the error of the ground's normal, of each of its sources, and of the
+focal length. ``sizes`` states the errors of lengths, widths and axes by ground tracks, and of meters. ``relief`` states
+how much larger the driven vehicle looks on the ground than on one plane, and how much its masks vary.
 """
 
 from __future__ import annotations
