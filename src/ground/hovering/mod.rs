@@ -10,9 +10,8 @@
 //! ```
 //!
 //! for frame i of vehicle k: along its own path each vehicle shows how the ground recedes. a_k, its length over the
-//! height of the camera, is also about the same for all vehicles. How far both are from that shows how far they may be.
-//! With a horizon that is level to some degrees and a
-//! pitch that may be given, the normal with the least sum of squares is taken; residuals count robustly. The unit of
+//! height of the camera, is about the same for all vehicles. The normal minimizes the sum of squares of both residuals,
+//! robustly, with a horizon that is level to some degrees, and of those of other sources ([`StatedTilt`]). The unit of
 //! such a background is the camera's height.
 
 #[cfg(test)]

@@ -6,7 +6,7 @@ use nalgebra::UnitQuaternion;
 use rand::Rng as _;
 use rand_distr::StandardNormal;
 
-use super::vehicle_sizes::Sight;
+use super::vehicle_sizes::VehicleImage;
 use super::*;
 use crate::camera::{Camera, up_in_cam};
 use crate::math::{Rigid3, median, seeded_rng};
@@ -34,17 +34,22 @@ fn scene(pitch: f64, roll: f64, seed: u64) -> (Reconstruction, Vec<BTreeMap<Fram
         let size = 4.5 * (0.1 * rng.sample::<f64, _>(StandardNormal)).exp();
         let mut images = BTreeMap::new();
         for frame in 0..100u32 {
-            let way = 0.5 * f64::from(frame);
-            let (x, y) = (start[0] + way * heading.cos(), start[1] + way * heading.sin());
+            let driven = 0.5 * f64::from(frame);
+            let (x, y) = (start[0] + driven * heading.cos(), start[1] + driven * heading.sin());
             let point = Point3::from(right * x + ahead * y - up * HEIGHT);
             let Some(pixel) = camera.pixel_from_cam(point).filter(|pixel| camera.contains(*pixel)) else {
                 continue;
             };
             let noise = (0.02 * rng.sample::<f64, _>(StandardNormal)).exp();
             let forward = right * heading.cos() + ahead * heading.sin();
-            let sight =
-                Sight { camera, cam_from_world: UnitQuaternion::identity(), ray: up, way: [up; 2], log_extent: 0.0 };
-            let box_px = sight.box_extent_px(&(point.coords / HEIGHT), &forward, &up).unwrap();
+            let image = VehicleImage {
+                camera,
+                cam_from_world: UnitQuaternion::identity(),
+                ray: up,
+                neighbors: [up; 2],
+                log_extent: 0.0,
+            };
+            let box_px = image.box_extent_px(&(point.coords / HEIGHT), &forward, &up).unwrap();
             let extent_px = noise * size / HEIGHT * box_px;
             let half = Vector2::repeat(0.5 * extent_px);
             images.extend(Rect::around(&[pixel - half, pixel + half]).map(|bounds| (FrameId(frame), bounds)));

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use nalgebra::{Matrix2, Matrix3, Point3, Vector2, Vector3};
 use serde::{Deserialize, Serialize};
 
-use super::vehicle_sizes::{Problem, sights};
+use super::vehicle_sizes::{Problem, observed_vehicles};
 use crate::camera::MAX_TILT_STD;
 use crate::scene::{FrameId, Reconstruction, Rect};
 
@@ -124,7 +124,7 @@ impl TiltSolver {
     ) -> Option<Self> {
         let world_from_cam = background.images.values().next()?.cam_from_world.rotation.inverse();
         let problem = |log_focal: f64, noise: f64| {
-            let vehicles = sights(background, vehicles, log_focal.exp());
+            let vehicles = observed_vehicles(background, vehicles, log_focal.exp());
             Problem { vehicles, world_from_cam, noise }
         };
         let noise = problem(0.0, 1.0).actual_noise();

@@ -16,20 +16,24 @@ const EXTENT_STD: f64 = 0.07;
 const SIZE_STD: f64 = 0.4;
 /// Length of the box that is projected, as a share of the camera's height: small, so that it is where its middle is.
 const BOX_LENGTH: f64 = 0.01;
-/// Sights to both sides between which a vehicle's direction is taken.
+/// Images on either side between which a vehicle's direction of motion is taken.
 const REACH: usize = 3;
-/// Way between them at least, as a share of the vehicle's extent: the middles of masks err by a tenth of it. It must
-/// not depend on the normal: the sum of squares would be least where fewest sights have a direction.
-const MIN_WAY: f64 = 0.5;
+/// Minimum displacement between them, as a share of the vehicle's extent: the middles of masks err by a tenth of it. It
+/// must not depend on the normal: the sum of squares would be least where fewest images have a direction.
+const MIN_DISPLACEMENT: f64 = 0.5;
 /// Smallest inclination that is tried, radians: a horizon just outside the image.
 const MIN_INCLINATION: f64 = 0.03;
 const NUM_PITCHES: usize = 120;
 const PITCH_STEP: f64 = (MAX_INCLINATION - MIN_INCLINATION) / NUM_PITCHES as f64;
 
-/// Sights of the vehicles in the frames, by cameras whose focal length is `zoom` times the one of the background.
-pub(super) fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, Rect>], zoom: f64) -> Vec<Vehicle> {
+/// Moving vehicles with their images, in cameras whose focal length is `zoom` times the one of the background.
+pub(super) fn observed_vehicles(
+    background: &Reconstruction,
+    vehicles: &[BTreeMap<FrameId, Rect>],
+    zoom: f64,
+) -> Vec<Vehicle> {
     let by_frame: BTreeMap<FrameId, &Image> = background.images.iter().map(|(id, image)| (id.frame(), image)).collect();
-    let sights_of = |vehicle: &BTreeMap<FrameId, Rect>| {
+    let images_of = |vehicle: &BTreeMap<FrameId, Rect>| {
         // More frames cost time only.
         let step = vehicle.len().div_ceil(20).max(1);
         let seen = |(frame, seen): (&FrameId, &Rect)| {
@@ -41,53 +45,59 @@ pub(super) fn sights(background: &Reconstruction, vehicles: &[BTreeMap<FrameId, 
         };
         let seen: Vec<_> = vehicle.iter().step_by(step).filter_map(seen).collect();
         let last = seen.len().saturating_sub(1);
-        let sight = |(k, &(camera, cam_from_world, ray, extent_px)): (usize, &(Camera, _, _, f64))| {
-            let way = [k.saturating_sub(REACH), (k + REACH).min(last)].map(|k| seen[k].2);
-            let way_px = way[0].angle(&way[1]) * camera.mean_focal();
+        let image = |(k, &(camera, cam_from_world, ray, extent_px)): (usize, &(Camera, _, _, f64))| {
+            let neighbors = [k.saturating_sub(REACH), (k + REACH).min(last)].map(|k| seen[k].2);
+            let displacement_px = neighbors[0].angle(&neighbors[1]) * camera.mean_focal();
             let log_extent = extent_px.ln();
-            (way_px >= MIN_WAY * extent_px).then_some(Sight { camera, cam_from_world, ray, way, log_extent })
+            (displacement_px >= MIN_DISPLACEMENT * extent_px).then_some(VehicleImage {
+                camera,
+                cam_from_world,
+                ray,
+                neighbors,
+                log_extent,
+            })
         };
-        let sights: Vec<Sight> = seen.iter().enumerate().filter_map(sight).collect();
+        let images: Vec<VehicleImage> = seen.iter().enumerate().filter_map(image).collect();
         // Independent ones: masks err for a while, and grow along the whole path, as shadows become part of them.
         let extents = (vehicle.len() as f64 / 10.0).min(3.0);
-        Vehicle { weight: extents / sights.len().max(1) as f64, sights }
+        Vehicle { weight: extents / images.len().max(1) as f64, images }
     };
     // In fewer frames a path hardly shows how the ground recedes.
     let long = vehicles.iter().filter(|images| images.len() >= 6);
-    long.map(sights_of).filter(|vehicle| !vehicle.sights.is_empty()).collect()
+    long.map(images_of).filter(|vehicle| !vehicle.images.is_empty()).collect()
 }
 
 /// A vehicle in one frame.
-pub(super) struct Sight {
+pub(super) struct VehicleImage {
     pub(super) camera: Camera,
     pub(super) cam_from_world: UnitQuaternion<f64>,
     /// Unit vector in the world, through its middle.
     pub(super) ray: Vector3<f64>,
-    /// The same some sights before and after.
-    pub(super) way: [Vector3<f64>; 2],
+    /// The same some images before and after.
+    pub(super) neighbors: [Vector3<f64>; 2],
     pub(super) log_extent: f64,
 }
 
 pub(super) struct Vehicle {
-    sights: Vec<Sight>,
+    images: Vec<VehicleImage>,
     /// Independent extents for which each of them counts.
     weight: f64,
 }
 
 impl Vehicle {
-    /// Logarithms of its length by its sights, if the ground has this normal; it must move.
+    /// Logarithms of its length by its images, if the ground has this normal; it must move.
     fn log_lengths(&self, normal: &Vector3<f64>) -> Vec<Option<f64>> {
-        self.sights.iter().map(|sight| sight.log_length(normal)).collect()
+        self.images.iter().map(|image| image.log_length(normal)).collect()
     }
 }
 
-impl Sight {
+impl VehicleImage {
     /// Logarithm of the vehicle's length, if the ground has this normal.
     fn log_length(&self, normal: &Vector3<f64>) -> Option<f64> {
         // Above the horizon there is no ground: as far away as can be.
         let position = |ray: Vector3<f64>| ray / (-normal.dot(&ray)).max(1e-3);
-        let way = position(self.way[1]) - position(self.way[0]);
-        let forward = (way - normal * normal.dot(&way)).try_normalize(0.0)?;
+        let displacement = position(self.neighbors[1]) - position(self.neighbors[0]);
+        let forward = (displacement - normal * normal.dot(&displacement)).try_normalize(0.0)?;
         let log_length = self.log_extent - self.box_extent_px(&position(self.ray), &forward, normal)?.ln();
         log_length.is_finite().then_some(log_length)
     }
@@ -213,7 +223,7 @@ impl Problem {
     pub(super) fn actual_noise(&self) -> f64 {
         /// Mean loss of a normal error.
         const EXPECTED: f64 = 0.776;
-        let extents: f64 = self.vehicles.iter().map(|vehicle| vehicle.weight * vehicle.sights.len() as f64).sum();
+        let extents: f64 = self.vehicles.iter().map(|vehicle| vehicle.weight * vehicle.images.len() as f64).sum();
         // A length of each vehicle is adjusted, and has a residual from the common one; that and the angles are left.
         let expected = EXPECTED * (extents - 3.0).max(1.0);
         let Some(angles) = least(&self.search(&[])) else { return 1.0 };
