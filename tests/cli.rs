@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use std::process::Stdio;
 
 use common::{drive, json, outcome, tractrix};
+use sha2::{Digest, Sha256};
 use tempfile::TempDir;
 use tractrix::synthetic::write_clip;
 
@@ -155,6 +156,25 @@ fn without_masks_or_model_vehicles_are_looked_for() {
     assert_eq!(run["options"]["instances"], "vehicles");
     let tracks: serde_json::Value = serde_json::from_slice(&fs::read(out.join("tracks.json")).unwrap()).unwrap();
     assert!(tracks["objects"].as_array().unwrap().is_empty(), "{tracks}");
+}
+
+#[test]
+fn a_run_names_its_video_and_its_networks_by_their_hashes() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let (folder, video) = (TempDir::new().unwrap(), root.join("dataset/demo/video.mp4"));
+    let out = folder.path().join("out");
+    // Three frames give no background; that is recorded, too.
+    outcome(tractrix().arg("run").arg(&video).args(["--end", "3f"]).arg("--output").arg(&out));
+    let run = json(&out.join("run.json"));
+    let sha256 = |path: &Path| format!("{:x}", Sha256::digest(fs::read(path).unwrap()));
+    assert_eq!(run["input"]["sha256"], sha256(&video));
+    let networks = |stage: &str| run["stages"][stage]["figures"]["networks"].as_object().cloned().unwrap_or_default();
+    for (stage, name) in [("segment", "yolox_nano.onnx"), ("track", "box_masks.onnx")] {
+        match networks(stage).get(name) {
+            Some(hash) => assert_eq!(*hash, sha256(&root.join("models").join(name))),
+            None => assert!(std::env::var_os("TRACTRIX_REQUIRE_ONNXRUNTIME").is_none(), "{stage}: {run}"),
+        }
+    }
 }
 
 #[test]

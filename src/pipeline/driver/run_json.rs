@@ -40,6 +40,8 @@ struct Document<'a> {
 struct Input<'a> {
     /// As named on the command line.
     path: String,
+    /// SHA-256 of a video's content; of a folder, that of the names and contents of its files.
+    sha256: &'a str,
     /// Properties.
     info: &'a Info,
     /// Meaning of `time_s` in all files.
@@ -73,7 +75,12 @@ pub(in crate::pipeline) fn write(run: &Run, error: Option<&str>) -> Result<()> {
     let document = Document {
         version: crate::VERSION,
         arguments: run.arguments,
-        input: Input { path: run.input().display().to_string(), info: run.info(), times: run.info().time_base() },
+        input: Input {
+            path: run.input().display().to_string(),
+            sha256: &run.content,
+            info: run.info(),
+            times: run.info().time_base(),
+        },
         method: Method::of(run.options).name(),
         options: run.options.to_json(),
         stages,

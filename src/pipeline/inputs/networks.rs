@@ -74,7 +74,7 @@ impl Networks {
     /// Segmenter of boxes: mask networks, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>> {
         let (options, resources) = (&run.options.prompt, run.options.resources());
-        Ok(match serving(&self.masks, hovers(run)) {
+        Ok(match self.serving_masks(run) {
             [small] => load_small_box_segmenter(small, options, resources)?,
             [small, encoder, decoder] => Box::new(BySize {
                 small: load_small_box_segmenter(small, options, resources)?,
@@ -82,6 +82,11 @@ impl Networks {
             }),
             _ => Box::new(GrabCut::new(options)),
         })
+    }
+
+    /// Files of the mask networks that draw this run's masks.
+    pub(in crate::pipeline) fn serving_masks(&self, run: &Run) -> &[PathBuf] {
+        serving(&self.masks, hovers(run))
     }
 
     /// Refuses a detector that cannot be used.
@@ -108,6 +113,15 @@ pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<V
     let hashes = files.iter().map(|path| fingerprint::of_content(path)).collect::<Result<Vec<_>, _>>()?;
     let provider = (!files.is_empty()).then_some(run.options.provider);
     Ok(json!({ "files": hashes, "provider": provider }))
+}
+
+/// SHA-256 of networks by the names of their files, for `run.json`.
+pub(in crate::pipeline) fn hashes_by_name<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Result<Value> {
+    let hash = |path: &PathBuf| {
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        Ok((name, json!(fingerprint::of_content(path)?)))
+    };
+    Ok(Value::Object(files.into_iter().map(hash).collect::<Result<_>>()?))
 }
 
 /// Mask networks that are asked: below a camera that does not translate the small one alone

@@ -16,7 +16,7 @@ use crate::networks::{GroundSegmenter, load_ground_segmenter};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::given_masks::MaskFolder;
-use crate::pipeline::inputs::networks::of_networks;
+use crate::pipeline::inputs::networks::{hashes_by_name, of_networks};
 use crate::pipeline::inputs::{hovering, images};
 use crate::pipeline::{GroundLabels, Options, Result, Stage};
 use crate::scene::{
@@ -70,6 +70,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
         let counts = bases.entry(id.to_string()).or_default();
         found.planes.values().for_each(|plane| *counts.entry(plane.basis.name()).or_default() += 1);
         ground.planes.extend(found.planes.into_iter().map(|(frame, plane)| ((id, frame), plane)));
+    }
+    if let GroundLabels::Model(path) = &run.options.ground_labels {
+        outcome.figure("networks", hashes_by_name([path])?);
     }
     outcome.figure("source", json!(ground.source));
     outcome.figure("num_points", ground.point_ids.len());

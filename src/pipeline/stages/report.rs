@@ -317,8 +317,10 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>> {
         Kind::Video => "video file",
         Kind::Folder => "folder of images",
     };
-    let mut facts =
-        vec![Fact::new("Input", kind), Fact::new("Frame size", format!("{} × {}", info.width, info.height))];
+    let mut facts = vec![
+        Fact::new("Input", kind).with_note(format!("SHA-256 {}", run.content)),
+        Fact::new("Frame size", format!("{} × {}", info.width, info.height)),
+    ];
     let method = Method::of(run.options);
     if method != Method::Default {
         facts.push(Fact::new("Method", method.name()).with_note("published method without additions, docs/paper.md"));

@@ -13,7 +13,7 @@ use crate::image::RgbImage;
 use crate::networks::{PerceptionError, Segmenter, load_segmenter};
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
-use crate::pipeline::inputs::networks::{Networks, of_networks};
+use crate::pipeline::inputs::networks::{Networks, hashes_by_name, of_networks};
 use crate::pipeline::{Instances, Result, Stage};
 use crate::scene::{BoxDetection, Detection, Frame, Topic};
 use detections::FrameFolder;
@@ -68,6 +68,7 @@ fn find_masks(run: &Run, model: &Path, outcome: &mut Outcome) -> Result<()> {
     let path = run.workspace.intermediate(Stage::Segment, &outcome.fingerprint)?;
     let store = DetectionFolder::new(path.clone());
     let mut segmenter = load(run, model)?;
+    outcome.figure("networks", hashes_by_name([&model.to_owned()])?);
     let found = search(run, run.frames()?.iter(), &store, outcome, |picture| segmenter.segment(picture))?;
     if found == 0 {
         outcome.warn(Topic::ModelFindsNoVehicle.warning(format!(
@@ -86,6 +87,7 @@ fn find_boxes(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let networks = Networks::of(run)?;
     networks.doubts.iter().for_each(|doubt| outcome.warn(Topic::NetworksMissing.warning(doubt)));
     let Some(mut detector) = networks.load_detector(run)? else { return Ok(()) };
+    outcome.figure("networks", hashes_by_name(&networks.detector)?);
     let store = BoxFolder::new(path);
     let rhythm = Schedule::of(run)?;
     let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));

@@ -19,7 +19,7 @@ use crate::io::{RunFolder, atomic, masks};
 use crate::networks::{FlowEstimator, load_flow};
 use crate::pipeline::driver::fingerprint;
 use crate::pipeline::driver::run::{Outcome, Run};
-use crate::pipeline::inputs::networks::{Networks, of_networks};
+use crate::pipeline::inputs::networks::{Networks, hashes_by_name, of_networks};
 use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, PipelineError, Result, Stage};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
@@ -85,6 +85,9 @@ fn tracked(
         Instances::Model(_) => Finds::masks(run),
         Instances::Vehicles => Finds::boxes(run, answers.to_owned(), outcome)?,
     };
+    let networks = Networks::of(run)?;
+    let masks = if run.options.instances == Instances::Vehicles { networks.serving_masks(run) } else { &[] };
+    outcome.figure("networks", hashes_by_name(masks.iter().chain(&run.options.flow_model))?);
     let mut followed = detected::follow(run, &mut finds, folder, outcome)?;
     backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
     merged::join_pieces(run, folder, &mut followed, outcome)?;
