@@ -227,6 +227,37 @@ fn production_sources() -> Vec<(PathBuf, String)> {
     files.into_iter().map(source).collect()
 }
 
+/// Line numbers of constants that are numbers, or arrays or ranges of these, without a comment above them.
+fn bare_constants(source: &str) -> Vec<usize> {
+    let is_number = |word: &str| {
+        ["usize", "isize", "Duration"].contains(&word) || word.trim_start_matches(['f', 'i', 'u']).parse::<u8>().is_ok()
+    };
+    let is_numeric = |line: &str| {
+        let is_item = |before: &str| before.is_empty() || (before.starts_with("pub") && !before.contains('<'));
+        let constant = line.split_once("const ").filter(|(before, _)| is_item(before));
+        let kind = constant.and_then(|(_, named)| named.split_once(": ")).filter(|(name, _)| !name.contains(' '));
+        let mut words = kind.map_or("", |(_, kind)| kind).split(|c: char| !c.is_alphanumeric());
+        words.find(|word| !["", "std", "ops", "Range", "RangeInclusive"].contains(word)).is_some_and(is_number)
+    };
+    let lines = source.lines().map(str::trim_start).zip(1..).filter(|(line, _)| !line.starts_with("#["));
+    let lines: Vec<(&str, usize)> = [("", 0)].into_iter().chain(lines).collect();
+    let bare = lines.windows(2).filter(|pair| is_numeric(pair[1].0) && !pair[0].0.starts_with("//"));
+    bare.map(|pair| pair[1].1).collect()
+}
+
+#[test]
+fn every_constant_has_a_comment() {
+    let compiled = rust_source::production_files(&root().join("src/lib.rs"));
+    let problems = |(file, source): (PathBuf, String)| {
+        let lines = bare_constants(&source).into_iter();
+        lines.map(|line| format!("{}:{line}: a constant without a comment", shown(&file))).collect::<Vec<_>>()
+    };
+    let sources = production_sources().into_iter().filter(|(file, _)| compiled.iter().any(|c| c.path == *file));
+    report(&sources.flat_map(problems).collect::<Vec<_>>());
+    let sample = "/// A.\n#[x]\nconst A: f64 = 1.0;\npub(super) const B: &[u8; 1] = &[2];\nconst fn c(d: u8) {}\n";
+    assert_eq!(bare_constants(sample), [4]);
+}
+
 /// Words that no message uses: former words of the glossary, and British spelling.
 const NOT_IN_MESSAGES: [&str; 16] = [
     "anew",

@@ -152,8 +152,9 @@ fn leave_single_observations_out(problem: &mut Problem) {
 
 /// Points that may err together: those of a part of the time and of the picture.
 fn groups(problem: &Problem) -> Groups {
-    // 48 groups in all, several times as many as a camera has parameters.
+    // Parts of the time: with those of the image 48 groups, several times as many as a camera has parameters.
     const TIMES: usize = 8;
+    // Parts of the image, across and down.
     const PARTS: [usize; 2] = [3, 2];
     let mut sums = vec![[0.0; 4]; problem.points.len()];
     for o in &problem.observations {

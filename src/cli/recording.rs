@@ -100,6 +100,7 @@ pub(super) fn begin(
 
 /// Extension of a container or elementary stream, by its first bytes.
 fn extension(head: &[u8]) -> &'static str {
+    // Length of a packet of an MPEG transport stream, bytes; each begins with the sync byte `G` (ISO/IEC 13818-1).
     const TS_PACKET: usize = 188;
     let is_sync = |at: usize| head.get(at) == Some(&b'G');
     match head {

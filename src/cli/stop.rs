@@ -23,6 +23,7 @@ pub(super) const TRY_AGAIN: u8 = 75;
 const GRACE: Duration = Duration::from_millis(1500);
 /// Time for last messages: nobody may be reading them.
 const LAST_WORDS: Duration = Duration::from_millis(200);
+/// Number in place of a signal before any has come: signals count from 1.
 const NONE: i32 = 0;
 
 /// A signal that asked the program to end.

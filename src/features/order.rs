@@ -16,6 +16,7 @@ use crate::image::{GrayImage, LucasKanade, Pyramid, Returned, borrowed_gray, res
 /// # Errors
 /// [`FeatureError::OpenCv`] if OpenCV fails.
 pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, FeatureError> {
+    // Longer side of the resized images, pixels: the size to which the limits of tracking refer.
     const LONGER_SIDE_PX: u32 = 480;
     let small = |image: &GrayImage| {
         let (width, height) = scale_to_fit(image.width(), image.height(), LONGER_SIDE_PX);

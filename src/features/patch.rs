@@ -59,7 +59,7 @@ impl Patch {
         let at = |x: usize, y: usize| wide[y * (side + 2) + x];
         let values: Vec<f32> = (0..side * side).map(|i| at(i % side + 1, i / side + 1)).collect();
         let (mean, deviation) = mean_and_deviation(&values);
-        if deviation < MIN_DEVIATION {
+        if deviation < MIN_STD {
             return None;
         }
         let padded = padded(side);
@@ -197,7 +197,7 @@ impl Patch {
         let deviation = (total(&sum_sq) / num_pixels - mean * mean).max(0.0).sqrt();
         let [[x, y], [x_column, y_column], [x_row, y_row]] =
             [alone, by_column, by_row].map(|axes| axes.map(|lanes| total(&lanes)));
-        (deviation >= MIN_DEVIATION).then(|| WarpedPatch {
+        (deviation >= MIN_STD).then(|| WarpedPatch {
             mean,
             deviation,
             jacobian: Vector6::new(x_column, x_row, y_column, y_row, x, y),
@@ -234,12 +234,14 @@ struct WarpedPatch {
     correlation: f32,
 }
 
-/// Values that are worked on at once.
+/// Number of gray values processed at once by vector instructions.
 const LANES: usize = 8;
 
-/// Sides of the part of an image that a patch is looked for in, pixels. A patch that is spread over more is none.
+/// Side of the smallest search window, pixels.
 const SMALL: usize = 32;
+/// Side of the search window of patches that the smallest one does not hold, pixels.
 const LARGE: usize = 64;
+/// Side of the largest search window, pixels. A patch that is spread over more is lost.
 const LARGEST: usize = 512;
 
 /// Length of a row with what fills it up.
@@ -339,14 +341,16 @@ impl<const SIDE: usize> Sampler<'_, SIDE> {
     }
 }
 
-/// Bits behind the point of a position in fixed point; positions lie within [`LARGEST`].
+/// Fractional bits of a position in fixed point; positions are within [`LARGEST`].
 const BITS: u32 = 18;
+/// One pixel in fixed point.
 const ONE: f32 = (1 << BITS) as f32;
+/// Mask of the fractional bits.
 const MASK: i32 = (1 << BITS) - 1;
 
-/// Grey values of standard deviation below this are noise, not structure.
-const MIN_DEVIATION: f32 = 1.0;
-/// Weight that holds the shape, relative to the information on the position.
+/// Minimum standard deviation of a patch's gray values, gray levels: below it they are noise, not structure.
+const MIN_STD: f32 = 1.0;
+/// Weight of the prior on the shape, relative to the information on the position.
 const SHAPE_STIFFNESS: f32 = 0.01;
 
 /// `warp ∘ (identity + step)⁻¹`.

@@ -24,12 +24,13 @@ pub struct Shape {
 
 /// Half the side of a template, pixels of its level.
 const RADIUS: i32 = 7;
-/// Smallest correlation of two views of a patch.
+/// Minimum correlation of two views of a patch.
 const MIN_CORRELATION: f32 = 0.97;
-/// Largest shift of a feature, in units of its scale.
+/// Maximum shift of a feature, in units of its scale.
 const MAX_SHIFT_SCALES: f32 = 0.8;
-/// Scale of a feature whose template is cut from the picture itself; larger ones take smaller pictures.
+/// Scale of a feature whose template is cut from the image itself, pixels; larger ones use smaller levels.
 const SCALE_OF_FIRST_LEVEL: f32 = 2.3;
+/// Maximum number of levels of a pyramid, the image itself included.
 const NUM_LEVELS: usize = 4;
 
 /// A picture at full, half, quarter size and so on.

@@ -225,6 +225,7 @@ impl Estimator for EssentialEstimator<'_> {
     /// Gauss-Newton on the five degrees of freedom of (R, t / ‖t‖), derivatives by differences: linear eight-point
     /// refinement would fail on planar scenes.
     fn refine(&self, essential: &Matrix3<f64>, inliers: &[usize]) -> Option<Matrix3<f64>> {
+        // Step of the numerical derivatives, radians: of the rotation, and of the direction of the translation.
         const STEP: f64 = 1e-7;
         let mut pose = poses_from_essential(essential)?[0];
         // Gauss–Newton converges quadratically from a RANSAC result.

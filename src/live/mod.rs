@@ -47,7 +47,7 @@ use crate::scene::{Frame, ObjectId};
 use crate::video::Source;
 use frames::{Input, Next};
 use load::Load;
-use map::{MIN_KEYS, Mapper, NoMap, WorldMap};
+use map::{MIN_KEYFRAMES, Mapper, NoMap, WorldMap};
 use models::{Model, Request};
 use perception::{Perceived, PerceptionThread};
 use vehicles::{Positions, Vehicles};
@@ -55,21 +55,22 @@ use window::{Snapshot, Window};
 
 /// Length of the window, seconds.
 const WINDOW_S: f64 = 10.0;
-/// Time between two maps at least, seconds.
+/// Minimum time between two maps, seconds.
 const MAP_S: f64 = 1.0;
-/// Time between two maps that make frames final, seconds. Models of the vehicles are placed in them, which takes up to
-/// this time.
+/// Minimum time between two maps that make frames final, seconds. Models of the vehicles are placed in them, which
+/// takes up to this time.
 const FINAL_EVERY_S: f64 = 3.0;
 /// Age at which a frame becomes final, seconds: at most ten after it, with those three.
 const FINAL_S: f64 = 6.5;
 /// Time after which a camera without keyframes may hover, seconds: a first map of one that moves takes as long.
 const HOVER_S: f64 = 2.0;
-/// Time between two attempts at a map at least, seconds, and at one of a camera without keyframes, which takes longer.
+/// Minimum time between two attempts at a map, seconds.
 const RETRY_S: f64 = 0.5;
+/// Minimum time between two attempts at a map without enough keyframes, seconds: these take longer.
 const HOVER_RETRY_S: f64 = 2.0;
 /// Time without a map after which its absence is reported, seconds: a camera that moves has the first after two.
 const NO_MAP_S: f64 = 5.0;
-/// Longest wait for a frame before signals are looked at.
+/// Maximum wait for a frame before signals are checked.
 const PATIENCE: Duration = Duration::from_millis(50);
 
 /// Looks at a frame that is processed.
@@ -254,7 +255,7 @@ impl Live<'_> {
         }
         let keyframes = self.window.num_keys();
         let too_few = NoMap::Keyframes { found: keyframes };
-        let why = self.no_map.clone().or((keyframes < MIN_KEYS).then_some(too_few));
+        let why = self.no_map.clone().or((keyframes < MIN_KEYFRAMES).then_some(too_few));
         let Some(why) = why else { return Ok(()) };
         self.mapped_s = Some(f64::INFINITY);
         self.send(Line::NoMap(NoMapLine { t: time_s, reason: why.to_string() }))
@@ -265,9 +266,9 @@ impl Live<'_> {
         let is_due = match &self.map {
             Some(map) => time_s - map.time_s >= MAP_S,
             // A camera that hovers gives no keyframes.
-            None => self.window.num_keys() >= MIN_KEYS || self.window.span_s() >= HOVER_S,
+            None => self.window.num_keys() >= MIN_KEYFRAMES || self.window.span_s() >= HOVER_S,
         };
-        let retry_s = if self.window.num_keys() < MIN_KEYS { HOVER_RETRY_S } else { RETRY_S };
+        let retry_s = if self.window.num_keys() < MIN_KEYFRAMES { HOVER_RETRY_S } else { RETRY_S };
         let wait_s = if self.map.is_some() { 0.0 } else { retry_s };
         if !is_due || self.mapper.is_busy || time_s - self.asked_s < wait_s {
             return;
@@ -357,7 +358,7 @@ impl Live<'_> {
     fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, PipelineError> {
         if order() != Order::Stop {
             self.take_results(Wait::Yes)?;
-            if self.map.is_some() || self.window.num_keys() >= MIN_KEYS {
+            if self.map.is_some() || self.window.num_keys() >= MIN_KEYFRAMES {
                 self.mapper.request(self.snapshot(Purpose::Last));
                 self.take_results(Wait::Yes)?;
             }

@@ -15,14 +15,15 @@ use crate::pipeline::{Options, PipelineError, object_pose_priors};
 use crate::scene::{Frame, FrameId, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 use crate::trajectory::{self, Candidate, Evidence, ModelOrigin, ObjectDescription, Outlines, verdicts};
 
-/// Views of a model; other frames are registered by resection. Time grows faster than their number: in five rendered
-/// drives 30 left positions 0.13 m off about their mean, 60 0.08 m, in up to 2.5 s a map.
+/// Maximum number of views of a model; other frames are registered by resection. Time grows faster than their number:
+/// in five rendered drives 30 left positions 0.13 m off about their mean, 60 0.08 m, in up to 2.5 s a map.
 const MAX_VIEWS: usize = 60;
-/// Views of all models of a map, and of each at least: before a dashcam 60 each took 3.9 s, in which
-/// the camera left the map.
+/// Maximum number of views of all models of a map together: before a dashcam 60 each took 3.9 s, in which the camera
+/// left the map.
 const TOTAL_VIEWS: usize = 100;
+/// Number of views that every model may have, however many models there are.
 const FEW_VIEWS: usize = 20;
-/// Fewest views of a model.
+/// Minimum number of views of a model.
 const MIN_VIEWS: usize = 8;
 /// Limits of the pose of a further view: those of the mapper for objects.
 const LIMITS: Limits = Limits { max_error_px: 3.0, min_inliers: 7, min_inlier_ratio: 0.25 };

@@ -19,14 +19,14 @@ use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, 
 
 /// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
 const MAX_POINTS: usize = 700;
-/// Keyframes of a map.
-const MAX_KEYS: usize = 30;
-/// Time between keyframes at least, seconds: then they cover the window.
-const KEY_S: f64 = WINDOW_S / MAX_KEYS as f64;
-/// Keyframes of a first map, which follow one another without such a time: it is to come soon.
-const FIRST_KEYS: usize = 12;
-/// Median displacement between keyframes at least, as a share of the longer side: 12 px of 1280. A camera that does not
-/// move keeps the keyframes of before, which show depth.
+/// Maximum number of keyframes of a map.
+const MAX_KEYFRAMES: usize = 30;
+/// Minimum time between keyframes, seconds: then they cover the window.
+const KEY_S: f64 = WINDOW_S / MAX_KEYFRAMES as f64;
+/// Number of first keyframes without a minimum time between them, so that the first map comes soon.
+const FIRST_KEYFRAMES: usize = 12;
+/// Minimum median displacement between keyframes, as a share of the longer side: 12 px of 1280. A camera that does not
+/// move keeps its earlier keyframes, which show depth.
 const KEY_SHIFT: f64 = 12.0 / 1280.0;
 /// Share of its points that the last keyframe may lose before there is another one.
 const KEY_SHARED: f64 = 0.5;
@@ -34,8 +34,9 @@ const KEY_SHARED: f64 = 0.5;
 pub(super) const SPARE_S: f64 = 4.0;
 /// Views beyond the kept ones at which they are dropped. Re-detection forgets its keyframes then.
 const SPARE_VIEWS: usize = 40;
-/// Frames of which straight lines are kept, and the time between them at least, seconds: as in a run.
+/// Maximum number of frames whose straight lines are kept: as in a run.
 const NUM_LINES: usize = 5;
+/// Minimum time between these frames, seconds: as in a run, so that compression and moving vehicles differ.
 const LINES_S: f64 = 0.5;
 /// Limits of a pose: those of the mapper for the background.
 pub(super) const LIMITS: Limits = Limits { max_error_px: 4.0, min_inliers: 20, min_inlier_ratio: 0.2 };
@@ -160,7 +161,7 @@ impl Window {
         let now = self.frames.len() - 1;
         let Some(before) = self.is_key.iter().rposition(|is_key| *is_key) else { return true };
         let is_early = self.frames[now].time_s - self.frames[before].time_s < 0.99 * KEY_S;
-        if is_early && self.num_keys() >= FIRST_KEYS {
+        if is_early && self.num_keys() >= FIRST_KEYFRAMES {
             return false;
         }
         let pixel = |track: &Track, view: usize| {
@@ -185,7 +186,7 @@ impl Window {
             .iter()
             .zip(&self.is_key)
             .map(|(frame, is_key)| {
-                let is_recent_key = *is_key && keys_left <= MAX_KEYS;
+                let is_recent_key = *is_key && keys_left <= MAX_KEYFRAMES;
                 keys_left -= usize::from(*is_key);
                 is_recent_key || now_s - frame.time_s <= WINDOW_S + SPARE_S
             })
@@ -206,7 +207,7 @@ impl Window {
 /// The keyframes of a map among the views of a snapshot.
 pub(super) fn keyframes(snapshot: &Snapshot) -> Vec<usize> {
     let keys: Vec<usize> = (0..snapshot.is_key.len()).filter(|&view| snapshot.is_key[view]).collect();
-    keys[keys.len().saturating_sub(MAX_KEYS)..].to_vec()
+    keys[keys.len().saturating_sub(MAX_KEYFRAMES)..].to_vec()
 }
 
 /// The tracks of some views that at least `min_track` of them show.

@@ -320,6 +320,7 @@ fn select_of_stretch(map: &Map<'_>, stretch: &Stretch, tracks: &mut [bool]) {
 
 /// Cells of a grid over an image: of about the same shape in frames of 4:3 and 16:9.
 const GRID: [usize; 2] = [8, 6];
+/// Number of cells of the grid.
 const NUM_CELLS: usize = GRID[0] * GRID[1];
 
 /// The cell of a pixel.

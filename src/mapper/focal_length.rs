@@ -163,8 +163,9 @@ struct Adjusted {
     by_group: Vec<f64>,
 }
 
-/// Groups of points: parts of the picture, across, down and in time.
+/// Groups of points: parts of the image, across and down, and of the time.
 const GROUPS: [usize; 3] = [4, 3, 4];
+/// Number of groups of points.
 const NUM_GROUPS: usize = GROUPS[0] * GROUPS[1] * GROUPS[2];
 
 impl<'a> Probe<'a> {

@@ -172,6 +172,7 @@ impl Options {
     /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, a
     /// field of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
     fn at_focal(&self, cameras: &[Camera]) -> Self {
+        // Focal length up to which `min_angle_deg` holds as it is, pixels (see above).
         const USUAL_FOCAL_PX: f64 = 1536.0;
         let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);
         Self { min_angle_deg: self.min_angle_deg * USUAL_FOCAL_PX / longest, ..self.clone() }

@@ -38,8 +38,10 @@ pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion
 
 /// Returns true if a homography between normalized positions is a rotation, for the given or for any focal length.
 fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
-    // Two standard deviations and a margin: from 0.4 to 2.5 times a guess, in 40 steps to either side.
+    // Search range of the focal length's logarithm, prior standard deviations: two and a margin, from 0.4 to 2.5 times
+    // a guess.
     const SPAN: f64 = 2.29;
+    // Step of the focal length's logarithm: 40 to either side of a guess.
     const STEP: f64 = 0.022907;
     let steps = (SPAN * intrinsics.focal / STEP).round() as i32;
     let scales: Vec<f64> = (-steps..=steps).map(|k| (STEP * f64::from(k)).exp()).collect();

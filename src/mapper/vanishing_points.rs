@@ -32,7 +32,7 @@ const END_STD_PX: f64 = 0.35;
 const PARALLEL_STD: f64 = 0.005;
 /// Level directions: two of each of two crossing streets.
 const NUM_LEVEL: usize = 4;
-/// Angle between them at least, radians.
+/// Minimum angle between them, radians.
 const APART: f64 = 0.17;
 /// Loss of a deviation in standard deviations: many edges belong to none of the directions.
 const LOSS: RobustLoss = RobustLoss::Cauchy { scale: std::f64::consts::SQRT_2 };
@@ -40,17 +40,18 @@ const LOSS: RobustLoss = RobustLoss::Cauchy { scale: std::f64::consts::SQRT_2 };
 /// upright change places: a vanishing point in the image may be either. A drone's view straight down was taken for
 /// 73.5° ± 1.4° through a lens three times as long as it has, so that the upper limit must be two deviations away.
 const INCLINATIONS: [f64; 2] = [0.09, 1.31];
-/// Fewest segments: of fewer, random ones are explained, too.
+/// Minimum number of segments: of fewer, random ones are explained, too.
 const MIN_SEGMENTS: usize = 50;
-/// Deviation up to which a direction explains a segment, in standard deviations, and the share of segments that must be
-/// explained: 0.62 of 60 random segments and 0.45 of 150 are, 0.86 to 0.97 of those in streets, 0.82 to 0.85 on three
-/// real roads that bend, where the directions mean nothing.
+/// Maximum deviation of a segment from a direction that explains it, standard deviations.
 const EXPLAINED: f64 = 3.0;
+/// Minimum share of explained segments: 0.62 of 60 random segments and 0.45 of 150 are explained, 0.86 to 0.97 of those
+/// in streets, 0.82 to 0.85 on three real roads that bend, where the directions mean nothing.
 const MIN_SHARE: f64 = 0.86;
-/// Places of the grid from which the first view is adjusted, and minima from which all of them are.
+/// Number of grid points from which the first view is adjusted.
 const NUM_STARTS: usize = 12;
+/// Number of the first view's minima from which all views are adjusted.
 const NUM_MINIMA: usize = 4;
-/// Segments by which the grid is searched, the longest of the first view: more cost time only.
+/// Number of segments in the search of the grid, the longest of the first view: more cost time only.
 const NUM_SEARCHED: usize = 150;
 
 /// The ground's normal by straight lines.
@@ -166,8 +167,9 @@ impl Sight {
 
 /// Inclination, roll, logarithm of the focal length, and the azimuths of the level directions.
 type Parameters = DVector<f64>;
-/// Index of the focal length, and of the first azimuth.
+/// Index of the focal length's logarithm.
 const FOCAL: usize = 2;
+/// Index of the first azimuth, and number of the parameters before it.
 const LEVEL: usize = 3;
 
 struct Minimum {
@@ -356,6 +358,7 @@ impl Problem<'_> {
 /// Level directions one after the other, by what each explains beyond the upright and those before, with the cost of
 /// what remains.
 fn searched(sights: &[Sight], angles: Vector2<f64>) -> (f64, [f64; NUM_LEVEL]) {
+    // Number of azimuths of the search over half a turn, in steps of 2°.
     const NUM_AZIMUTHS: usize = 90;
     let azimuth = |k: usize| std::f64::consts::PI * k as f64 / NUM_AZIMUTHS as f64;
     let costs = |direction: Vector3<f64>| -> Vec<f64> {

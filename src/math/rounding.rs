@@ -4,8 +4,9 @@
 const STD_DIGITS: i32 = 2;
 /// Significant digits of a value whose uncertainty is not known.
 const VALUE_DIGITS: i32 = 3;
-/// Beyond these a figure says nothing but "very small" and "very large".
+/// Magnitude below which a value is printed as "almost 0".
 const SMALLEST: f64 = 1e-9;
+/// Magnitude above which a value is printed as "huge".
 const LARGEST: f64 = 1e12;
 
 /// Formats `value ± std` to the second significant digit of the standard deviation: `4.31 ± 0.12`, `1230 ± 560`.

@@ -104,18 +104,20 @@ fn odds(odds: f64) -> String {
     if odds < 1000.0 { format!("odds {odds:.0}:1") } else { "odds over 1000:1".to_owned() }
 }
 
-/// Share of its frames in which a point must lie on an object.
-const LEAST_INSIDE: f64 = 0.8;
-/// Fewest points that say anything.
+/// Minimum share of a point's frames in which it is on the object.
+const MIN_INSIDE: f64 = 0.8;
+/// Minimum number of points that are evidence.
 const MIN_POINTS: usize = 3;
-/// Share of moving points from which an object moves, and up to which it may be stationary: points on reflections and
-/// along outlines move on a parked car, too.
-const MOST_MOVE: f64 = 0.5;
-const FEW_MOVE: f64 = 0.25;
-/// Time for which most points of an object must move where it is stationary for longer: as long as a mover lives at
-/// least (`movers.min_life_s`), with as many frames as at this rate, Hz.
-const LEAST_MOVE_S: f64 = 1.0;
-const LEAST_RATE: f64 = 10.0;
+/// Minimum share of moving points of a moving object.
+const MIN_SHARE_MOVING: f64 = 0.5;
+/// Maximum share of moving points of an object that may be stationary: points on reflections and along outlines move on
+/// a parked car, too.
+const MAX_SHARE_STATIONARY: f64 = 0.25;
+/// Minimum time for which most points of an object must move where it is stationary for longer, seconds: the minimum
+/// life of a mover (`MIN_LIFE_S` of `groups.rs`).
+const MIN_MOVE_S: f64 = 1.0;
+/// Minimum frame rate that turns this time into a number of frames, Hz.
+const MIN_RATE_HZ: f64 = 10.0;
 /// Odds for one hypothesis over the other from which it is accepted: between substantial and strong evidence, 3.2 and
 /// 10 (H. Jeffreys, *Theory of Probability*, 1961, app. B).
 pub const CLEAR_ODDS: f64 = 5.0;
@@ -124,8 +126,8 @@ pub const CLEAR_ODDS: f64 = 5.0;
 /// the object's size: a sway of a tenth of the distance, of an object as high as it is wide. A vehicle that moves
 /// passes it within half a meter.
 const SWAY: f64 = 0.1;
-/// Way of a mask, between the means of the first and the last quarter of its frames, as a multiple of its size, from
-/// which it is no growth, no shadow and no slip to a neighbor at the kerb.
+/// Minimum displacement of a moving mask from the mean of the first to that of the last quarter of its frames, as a
+/// multiple of its size: a smaller one may be growth, a shadow or a slip to a neighbor at the kerb.
 const MIN_TRAVEL: f64 = 2.0;
 
 /// Revises the judgement of an object before a camera that hovers: poses have one center there, so that points of
@@ -133,7 +135,7 @@ const MIN_TRAVEL: f64 = 2.0;
 ///
 /// * `size_px` – of the object in the image.
 pub fn without_sway(judged: Judgement, points: &[PointOnObject], size_px: f64) -> Judgement {
-    let on_it = points.iter().filter(|point| point.inside >= LEAST_INSIDE);
+    let on_it = points.iter().filter(|point| point.inside >= MIN_INSIDE);
     let moving = on_it.filter(|point| point.label.verdict == Verdict::Moving(Evidence::OffItsLine));
     let deviation_px = upper_median(moving.map(|point| point.label.deviation_px).collect());
     let is_sway = deviation_px.is_some_and(|deviation_px| deviation_px <= SWAY * size_px);
@@ -167,7 +169,7 @@ pub fn with_travel(judged: Judgement, sights: &[Vector3<f64>], size: f64) -> Jud
 /// Points that lie on it in less than four fifths of their frames, or that are undetermined, say nothing; long ones say
 /// more than short ones. A part of the life that moves is enough: the labels are those of whole tracks.
 pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
-    let on_it: Vec<&PointOnObject> = points.iter().filter(|point| point.inside >= LEAST_INSIDE).collect();
+    let on_it: Vec<&PointOnObject> = points.iter().filter(|point| point.inside >= MIN_INSIDE).collect();
     let leaves_line = |label: &TrackLabel| label.verdict == Verdict::Moving(Evidence::OffItsLine);
     let is_quiet = |label: &TrackLabel| {
         matches!(label.verdict, Verdict::Stationary | Verdict::Floating | Verdict::Moving(Evidence::BehindGround))
@@ -187,8 +189,8 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         () if num_moving + num_standing.max(feet.len()) < MIN_POINTS => {
             (Movement::Undetermined, MovementReason::TooFewPoints)
         }
-        () if share >= MOST_MOVE => (Movement::Moving, MovementReason::PointsMove),
-        () if time_moving(&on_it, &leaves_line, &is_quiet) as f64 >= LEAST_MOVE_S * second.max(LEAST_RATE) => {
+        () if share >= MIN_SHARE_MOVING => (Movement::Moving, MovementReason::PointsMove),
+        () if time_moving(&on_it, &leaves_line, &is_quiet) as f64 >= MIN_MOVE_S * second.max(MIN_RATE_HZ) => {
             (Movement::Moving, MovementReason::MovesForATime)
         }
         () if odds >= CLEAR_ODDS && stance.is_some_and(|stance| stance.floats()) => {
@@ -197,7 +199,7 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         // A mask may end nearer than its points; that points are behind the ground themselves, no stationary object
         // shows.
         () if odds >= CLEAR_ODDS && num_behind >= MIN_POINTS => (Movement::Moving, MovementReason::FootBehindGround),
-        () if share > FEW_MOVE => (Movement::Undetermined, MovementReason::Divided),
+        () if share > MAX_SHARE_STATIONARY => (Movement::Undetermined, MovementReason::Divided),
         () if odds <= 1.0 / CLEAR_ODDS && num_standing >= MIN_POINTS => {
             (Movement::Stationary, MovementReason::PointsStand)
         }

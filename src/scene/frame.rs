@@ -65,6 +65,7 @@ pub struct Timed<T> {
 /// Seconds on a clock that counts seconds, or a thousandth, millionth or billionth of them after 1970, by magnitude:
 /// seconds are below 10¹¹ until the year 5138, and so on in steps of a thousand.
 pub fn clock_in_seconds(time: f64) -> f64 {
+    // Least number of a clock that counts nanoseconds, microseconds or milliseconds, and its unit, seconds.
     const UNITS: [(f64, f64); 3] = [(1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)];
     UNITS.iter().find(|(least, _)| time >= *least).map_or(time, |(_, unit)| time * unit)
 }

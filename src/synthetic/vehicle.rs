@@ -9,6 +9,7 @@ use crate::math::Rng;
 const SIZE_M: [f64; 3] = [4.5, 1.8, 1.5];
 /// Height of the body's lower edge over the ground, metres: the lowest points of a vehicle whose wheels are missing.
 pub(super) const CLEARANCE_M: f64 = 0.37;
+/// Radius of the wheels, meters.
 const WHEEL_RADIUS_M: f64 = 0.33;
 
 /// A surface point in the vehicle's frame: metres; x forward, y left, z up; the origin lies on the ground, amid the

@@ -18,8 +18,9 @@ fn utf16(bytes: &[u8], unit: fn([u8; 2]) -> u16) -> String {
     char::decode_utf16(units).map(|c| c.unwrap_or(char::REPLACEMENT_CHARACTER)).collect()
 }
 
-/// Miles per hour and knots, metres per second.
+/// One mile per hour, meters per second.
 pub(super) const MPH_M_S: f64 = 0.447_04;
+/// One knot, meters per second.
 pub(super) const KNOT_M_S: f64 = 0.514_444;
 
 /// Longer lines are no telemetry.

@@ -21,14 +21,15 @@ pub(super) struct Affine {
 }
 
 impl Affine {
-    /// Fewer pixels give a displacement and nothing more.
+    /// Minimum number of pixels of a fit; fewer give a displacement only.
     const MIN_PIXELS: usize = 100;
-    /// The area of a vehicle does not change by more than this factor from frame to frame.
+    /// Maximum change of a vehicle's area from frame to frame, as a factor.
     const MAX_GROWTH: f64 = 1.3;
-    /// Rounds of fitting, each without the pixels that fit worst after the one before.
+    /// Number of rounds of fitting, each without the outliers of the one before.
     const ROUNDS: usize = 3;
-    /// Residuals beyond so many medians, or this many pixels if that is more, do not count.
+    /// Maximum residual of an inlier, in medians of all residuals.
     const MAX_RESIDUAL_MEDIANS: f64 = 2.5;
+    /// Residual up to which a pixel is an inlier whatever the median, pixels.
     const MAX_RESIDUAL_PX: f64 = 0.5;
 
     pub(super) fn shift([dx, dy]: [f64; 2]) -> Self {

@@ -4,10 +4,11 @@ use ::image::RgbImage;
 
 use super::region::Region;
 
-/// Hue, saturation, value.
+/// Number of bins of hue, saturation and value.
 const BINS: [usize; 3] = [8, 3, 4];
+/// Number of bins of a histogram.
 const NUM_BINS: usize = BINS[0] * BINS[1] * BINS[2];
-/// Fewer pixels say nothing about colours.
+/// Minimum number of pixels of a histogram.
 const MIN_PIXELS: usize = 25;
 
 /// Shares of colours, summing to 1.

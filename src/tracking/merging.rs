@@ -25,16 +25,19 @@ pub(super) fn is_same_size(ratio: f64) -> bool {
     (1.0 / MAX_SIZE_RATIO..=MAX_SIZE_RATIO).contains(&ratio)
 }
 
-/// Points in the same arrangement that prove sameness: so many and one for every ten matches. Of 20 matches made by
-/// chance 6 agree in one case of a hundred, of 60 no more than 8 to 9.
+/// Minimum number of points in the same arrangement that proves identity, to which [`MATCHES_PER_POINT`] adds. Of 20
+/// matches made by chance 6 agree in one case of a hundred, of 60 no more than 8 to 9.
 const MIN_POINTS: usize = 5;
+/// Number of matches that add one to this minimum.
 const MATCHES_PER_POINT: usize = 10;
-/// Two views full of points that have fewer than this in common show two objects.
+/// Number of common points below which two textured views show two objects.
 const FEW_POINTS: usize = 4;
-/// Where points do not tell, place and colours must: share of the tolerated distance, seconds.
+/// Maximum distance from the prediction, as a share of the tolerated one, of an identity by position and colors without
+/// enough points.
 const SURE_PLACE: f64 = 0.5;
+/// Maximum gap of such an identity, seconds.
 const SURE_GAP_S: f64 = 1.5;
-/// Margin by which the better of two continuations must be better.
+/// Minimum difference of the scores of two continuations in the same frames.
 const MARGIN: f64 = 0.5;
 
 /// A piece of a track: the first and the last frame in which it is seen.

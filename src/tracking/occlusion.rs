@@ -27,11 +27,12 @@ const MIN_CONTRAST: f64 = 12.0;
 const BETTER: f64 = 0.5;
 /// Pixels round an object in which occluders are looked for, besides half its size.
 const REACH_PX: u32 = 48;
-/// Half the width of what is too narrow to be an occluder: the rim, where outlines and flow are uncertain. Least and
-/// most pixels, and share of the object's side.
+/// Bounds of half the minimum width of an occluder, pixels: a narrower strip is the rim, where outlines and flow are
+/// uncertain.
 const MIN_RADIUS_PX: (f64, f64) = (2.0, 6.0);
+/// Half the minimum width of an occluder within these bounds, as a share of the object's side.
 const MIN_RADIUS: f64 = 0.025;
-/// Share of the outline that an occluder takes at least.
+/// Minimum share of the outline that an occluder covers.
 const MIN_SHARE: f64 = 0.03;
 
 /// Occluded pixels of an object's outline in a frame.

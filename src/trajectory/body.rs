@@ -2,9 +2,9 @@
 
 use super::ContactOptions;
 
-/// Width over length, and the standard deviation of its logarithm: small cars have 0.61, cars 0.41, delivery vans 0.39,
-/// lorries 0.31, buses 0.21.
+/// Width over length: small cars have 0.61, cars 0.41, delivery vans 0.39, lorries 0.31, buses 0.21.
 pub(super) const WIDTH_PER_LENGTH: f64 = 0.42;
+/// Standard deviation of the logarithm of width over length.
 pub(super) const WIDTH_STD: f64 = 0.3;
 /// Height over width: cars have 0.83, small cars and off-road vehicles 0.9 to 1, buses and lorries 1.2 to 1.3.
 pub(super) const HEIGHT_PER_WIDTH: f64 = 0.9;

@@ -9,8 +9,9 @@ use std::path::Path;
 
 use crate::files;
 
-/// Start-of-image and end-of-image markers (ITU-T T.81, table B.1).
+/// Start-of-image marker (ITU-T T.81, table B.1).
 const START: [u8; 2] = [0xff, 0xd8];
+/// End-of-image marker (ITU-T T.81, table B.1).
 const END: [u8; 2] = [0xff, 0xd9];
 /// Bytes at a file's end that are read first.
 const TAIL_BYTES: i64 = 4096;

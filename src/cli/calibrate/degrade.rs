@@ -17,9 +17,11 @@ use crate::math::{Rng, seeded_rng};
 use crate::scene::{FrameId, LabelMap, Mask};
 use crate::video::{Options, Source};
 
-/// Streams of random numbers.
+/// Stream of random numbers for the noise of images ("nois"); [`stream`] makes one of each frame from it.
 const NOISE: u64 = 0x6e6f_6973;
+/// Stream of random numbers for the jitter of masks ("jitt"), likewise.
 const JITTER: u64 = 0x6a69_7474;
+/// Stream of random numbers for the patch over the target ("cove"), the same in all frames.
 const COVER: u64 = 0x636f_7665;
 /// Margin of the patch that covers the target, as a share of its box.
 const MARGIN: f64 = 0.15;

@@ -6,11 +6,11 @@ use super::affine_views::AffineViews;
 use crate::features::patch::Patch;
 use crate::image::GrayImage;
 
-/// Fewer points than these tie no views together.
+/// Minimum number of common points that tie views together.
 pub const FEW_POINTS: usize = 8;
 
-/// Points of a key view of which a picture is kept: more tie no better.
-const MAX_SIGHTS: usize = 300;
+/// Maximum number of points of a keyframe whose image patch is kept: more tie no better.
+const MAX_PATCHES: usize = 300;
 
 /// A point as a view showed it.
 pub struct PointAppearance {
@@ -57,7 +57,7 @@ impl Keyframe {
         points: &[(usize, Point2<f32>)],
         radius: u32,
     ) -> Self {
-        let step = points.len().div_ceil(MAX_SIGHTS).max(1);
+        let step = points.len().div_ceil(MAX_PATCHES).max(1);
         let seen = points.iter().step_by(step);
         let sights = seen.filter_map(|(track, center)| PointAppearance::new(gray, *track, *center, radius)).collect();
         Self { view, looks, sights, num_points: points.len() }

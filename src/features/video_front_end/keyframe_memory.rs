@@ -1,10 +1,10 @@
 //! Re-detection: the appearance of earlier views, to find lost points again.
 //!
-//! Some views are kept as *key views*: their SIFT features, and small pictures of their points. A view becomes one
-//! where few of its points are those of the last key view, or where hardly any point lives on from the view before,
-//! which then is one, too. It is compared with the key views before it, and points that were lost since go on where
-//! they are found again ([`super::redetection`]): behind a pole, after another vehicle swept over them, on a vehicle
-//! that was out of the picture, at a place where the camera comes back.
+//! Some views are kept as keyframes: their SIFT features, and small patches of their points. A view becomes one where
+//! few of its points are those of the last keyframe, or where hardly any point of the previous view is still tracked;
+//! the previous view then is one, too. It is compared with the keyframes before it, and lost points are tracked on from
+//! where they are re-detected ([`super::redetection`]): behind a pole, after another vehicle occluded them, on a
+//! vehicle that left the image, at a place to which the camera returns (loop closure).
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -22,34 +22,41 @@ use crate::features::rootsift::Features;
 use crate::image::{GrayImage, Pyramid};
 use crate::scene::Mask;
 
-/// The link to the view before is broken, and that to the last key view weak, below these shares of common points.
+/// Share of the previous view's points that are still tracked below which the link to it is broken.
 const BROKEN_LINK: f64 = 0.3;
+/// Share of common points below which the link to the last keyframe is weak.
 const WEAK_LINK: f64 = 0.3;
-/// Key views that are kept; beyond, every other one is forgotten, so that cost and memory are bounded.
-const MAX_KEYS: usize = 256;
-/// Key views a short time ago with which a view is compared, and of those the ones in which points are looked for.
-const NEAR_KEYS: usize = 8;
-const NEAR_CHOSEN: usize = 2;
-/// Share of the points of another key view from which on one shows much, and how many of those are tilted.
-const SHOWS_MUCH: f64 = 0.5;
-const TILTED_KEYS: usize = 3;
-/// Key views that can be tilted, so that memory is bounded: nine sets of features each.
-const PICTURES: usize = 32;
-/// Views from one look back to the next, and the most of them, as long as what is seen is tied to no earlier view.
-const LOOK_EVERY: usize = 3;
-const LOOKS_BACK: usize = 20;
-/// Views after which a place counts as one that comes back: as many as the longest tracks live.
-const COMES_BACK_AFTER: usize = 100;
-/// Smallest distance between two ties to such places, and for how many views their points are followed: in the system
-/// of bundle adjustment each of these views fills a row of its own.
-const TIE_DISTANCE: usize = 48;
-const TIE_VIEWS: usize = 8;
-/// Features in a first comparison with views long ago, and how many must match for a second one.
-const GLANCE_FEATURES: usize = 400;
-const GLANCE_MATCHES: usize = 12;
+/// Maximum number of keyframes kept; beyond it every other one is dropped, which bounds cost and memory.
+const MAX_KEYFRAMES: usize = 256;
+/// Number of recent keyframes with which a view is compared: of the latest, and as many of the latest rich ones.
+const NUM_COMPARED: usize = 8;
+/// Number of compared keyframes in which points are re-detected, those with the most matches.
+const NUM_SEARCHED: usize = 2;
+/// Share of the points of the richest recent keyframe from which a view is rich.
+const RICH_SHARE: f64 = 0.5;
+/// Number of rich keyframes, the latest, of which affine views are synthesized.
+const NUM_SYNTHESIZED: usize = 3;
+/// Age of a keyframe, in keyframes with itself, at which its affine views (nine sets of features) are dropped: this
+/// bounds memory.
+const SYNTHESIS_AGE: usize = 32;
+/// Views from one attempt at re-detection to the next, as long as nothing ties the view to those before a gap.
+const RETRY_VIEWS: usize = 3;
+/// Maximum number of these attempts.
+const MAX_RETRIES: usize = 20;
+/// Age in views from which a keyframe is a candidate for loop closure: the length of the longest tracks.
+const LOOP_AGE: usize = 100;
+/// Minimum number of views from one loop closure to the next, which bounds the cost that [`LOOP_VIEWS`] names.
+const LOOP_INTERVAL: usize = 48;
+/// Number of views in which the points of a loop closure are tracked: in the system of bundle adjustment each of these
+/// views fills a row of its own.
+const LOOP_VIEWS: usize = 8;
+/// Number of features, the strongest, in the preliminary matching of candidates for loop closure.
+const PRETEST_FEATURES: usize = 400;
+/// Minimum number of preliminary matches with which a candidate is matched with all features.
+const MIN_PRETEST_MATCHES: usize = 12;
 
-fn shows_much(num_points: usize, most: usize) -> bool {
-    num_points as f64 >= SHOWS_MUCH * most as f64
+fn is_rich(num_points: usize, most: usize) -> bool {
+    num_points as f64 >= RICH_SHARE * most as f64
 }
 
 /// The view before, in case that the next one shows hardly any of its points.
@@ -60,7 +67,7 @@ struct Last {
     points: Vec<(usize, Point2<f32>)>,
 }
 
-/// Key views and the last view.
+/// Keyframes and the last view.
 pub struct Memory {
     camera: Camera,
     patch_radius: i32,
@@ -148,7 +155,7 @@ impl Memory {
         if chosen.is_empty() { Ok(()) } else { now.tilt() }
     }
 
-    /// The points of key views that are found again, by key view.
+    /// Re-detected points, by keyframe.
     fn points_of(&self, chosen: &[Chosen], now: &Now<'_>, alive: &BTreeSet<usize>) -> Vec<(Chosen, Vec<Live>)> {
         let mut known = alive.clone();
         let mut all = Vec::new();
@@ -207,7 +214,7 @@ impl Memory {
     fn is_due(&self, view: usize, alive: &BTreeSet<usize>) -> bool {
         self.apart_since.is_some_and(|first| {
             let since = view - first;
-            alive.len() >= FEW_POINTS && since.is_multiple_of(LOOK_EVERY) && since <= LOOK_EVERY * LOOKS_BACK
+            alive.len() >= FEW_POINTS && since.is_multiple_of(RETRY_VIEWS) && since <= RETRY_VIEWS * MAX_RETRIES
         })
     }
 
@@ -226,7 +233,7 @@ impl Memory {
         common < WEAK_LINK * (key.sights.len() as f64).max(alive.len() as f64 * sampled)
     }
 
-    /// Keeps a key view; none that shows hardly anything, behind which there would be nothing to find.
+    /// Keeps a keyframe unless it has hardly any points: nothing could be re-detected in it.
     fn keep(&mut self, view: usize, looks: AffineViews, gray: &GrayImage, points: &[(usize, Point2<f32>)]) {
         if points.len() < FEW_POINTS {
             return;
@@ -234,10 +241,10 @@ impl Memory {
         // Two pixels more: for differences, and for a centre between pixels.
         let radius = self.patch_radius.unsigned_abs() + 2;
         self.keys.push(Keyframe::new(view, looks, gray, points, radius));
-        if let Some(old) = self.keys.len().checked_sub(PICTURES).and_then(|old| self.keys.get_mut(old)) {
+        if let Some(old) = self.keys.len().checked_sub(SYNTHESIS_AGE).and_then(|old| self.keys.get_mut(old)) {
             old.looks.forget_tilted();
         }
-        if self.keys.len() > MAX_KEYS {
+        if self.keys.len() > MAX_KEYFRAMES {
             let mut index = 0;
             self.keys.retain(|_| {
                 index += 1;
@@ -246,8 +253,8 @@ impl Memory {
         }
     }
 
-    /// The key views in which points are looked for: of those a short time ago the ones that match best, and of those
-    /// long ago the first that matches half as well as the best.
+    /// The keyframes in which points are re-detected: the recent ones with the most matches, and of the candidates for
+    /// loop closure the first with at least half the matches of the best one.
     fn chosen(&self, view: usize, features: &Features, alive: &BTreeSet<usize>) -> Vec<Chosen> {
         let num_far = self.num_far(view);
         let mut chosen: Vec<Chosen> = self
@@ -257,50 +264,50 @@ impl Memory {
             .filter(|chosen| chosen.num_matches >= FEW_POINTS)
             .collect();
         chosen.sort_by_key(|chosen| (usize::MAX - chosen.num_matches, usize::MAX - chosen.key));
-        chosen.truncate(NEAR_CHOSEN);
-        if self.tied_at.is_none_or(|tied| view - tied >= TIE_DISTANCE) {
+        chosen.truncate(NUM_SEARCHED);
+        if self.tied_at.is_none_or(|tied| view - tied >= LOOP_INTERVAL) {
             chosen.extend(self.place_long_ago(num_far, features));
         }
         chosen
     }
 
-    /// Where too little matches as it is, the last key views that show much are compared as seen from elsewhere; once
-    /// as much is seen again, since what looks through leaves or comes in at the border matches too much by chance.
+    /// The keyframes whose affine views are matched where plain ones match too little: the latest rich ones, once the
+    /// view is rich itself, since parts behind leaves or at the border match too much by chance.
     fn chosen_to_tilt(&self, view: usize, alive: &BTreeSet<usize>) -> Vec<Chosen> {
         let near = self.near(view, alive);
         let most = near.iter().map(|key| self.keys[*key].num_points).max().unwrap_or(0);
-        if !shows_much(alive.len(), most) {
+        if !is_rich(alive.len(), most) {
             return Vec::new();
         }
-        let last = near.into_iter().rev().filter(|key| shows_much(self.keys[*key].num_points, most)).take(TILTED_KEYS);
+        let last = near.into_iter().rev().filter(|key| is_rich(self.keys[*key].num_points, most)).take(NUM_SYNTHESIZED);
         last.map(|key| Chosen { key, num_matches: 0, follow_for: None }).collect()
     }
 
     /// Number of keyframes long ago.
     fn num_far(&self, view: usize) -> usize {
-        self.keys.iter().take_while(|key| view - key.view >= COMES_BACK_AFTER).count()
+        self.keys.iter().take_while(|key| view - key.view >= LOOP_AGE).count()
     }
 
-    /// Key views a short time ago that are not tied to what is alive: the last ones, and the last of those that show
-    /// much. What disappears behind leaves leaves a row of key views that show hardly anything.
+    /// Recent keyframes that are not tied to the tracked points: the latest ones, and the latest rich ones. An object
+    /// that disappears behind leaves has a row of keyframes with hardly any points.
     fn near(&self, view: usize, alive: &BTreeSet<usize>) -> BTreeSet<usize> {
         let num_far = self.num_far(view);
         let is_before_gap = |key: &&Keyframe| self.apart_since.is_none_or(|first| key.view < first);
         let keys = num_far..self.keys.iter().take_while(is_before_gap).count().max(num_far);
         let most = self.keys[keys.clone()].iter().map(|key| key.num_points).max().unwrap_or(0);
-        let last = keys.clone().rev().take(NEAR_KEYS);
-        let rich = keys.rev().filter(|key| shows_much(self.keys[*key].num_points, most)).take(NEAR_KEYS);
+        let last = keys.clone().rev().take(NUM_COMPARED);
+        let rich = keys.rev().filter(|key| is_rich(self.keys[*key].num_points, most)).take(NUM_COMPARED);
         last.chain(rich).filter(|key| !self.skip_tied || !Self::is_tied(&self.keys[*key], alive)).collect()
     }
 
     fn place_long_ago(&self, num_far: usize, features: &Features) -> Option<Chosen> {
-        let glance = |key: &usize| {
+        let passes_pretest = |key: &usize| {
             let seen = &self.keys[*key].looks.plain.features;
-            match_strongest(seen, features, GLANCE_FEATURES, &self.matching).len() >= GLANCE_MATCHES
+            match_strongest(seen, features, PRETEST_FEATURES, &self.matching).len() >= MIN_PRETEST_MATCHES
         };
         let looked: Vec<Chosen> = (0..num_far)
-            .filter(glance)
-            .map(|key| Chosen { key, num_matches: self.num_matches(key, features), follow_for: Some(TIE_VIEWS) })
+            .filter(passes_pretest)
+            .map(|key| Chosen { key, num_matches: self.num_matches(key, features), follow_for: Some(LOOP_VIEWS) })
             .collect();
         let most = looked.iter().map(|chosen| chosen.num_matches).max()?;
         looked.into_iter().find(|chosen| 2 * chosen.num_matches >= most)
@@ -311,7 +318,7 @@ impl Memory {
     }
 }
 
-/// A key view in which points are looked for.
+/// A keyframe in which points are re-detected.
 #[derive(Clone, Copy)]
 struct Chosen {
     /// Its index.

@@ -19,24 +19,27 @@ use crate::image::GrayImage;
 use crate::math::{Neighbors, Rigid3, Rng, seeded_rng};
 use crate::scene::Mask;
 
-/// Distance from the epipolar line up to which matches, and points that were found, count.
+/// Maximum distance of a match from its epipolar line, pixels.
 const MAX_MATCH_ERROR_PX: f64 = 3.0;
+/// Maximum distance of a re-detected point from its epipolar line, pixels.
 const MAX_POINT_ERROR_PX: f64 = 1.5;
-/// Matches that make the affine map round a point.
-const NUM_ROUND: usize = 8;
-/// Nearest matches whose own motion is tried.
+/// Number of matches, the nearest, that determine the affine map around a point.
+const NUM_AFFINE: usize = 8;
+/// Number of matches, the nearest, whose own motion predicts a point.
 const NUM_SINGLE: usize = 2;
-/// Smallest correlation of a point with its earlier sight, and largest distance from where it was looked for.
+/// Minimum correlation of a point with its earlier appearance.
 const MIN_CORRELATION: f32 = 0.8;
+/// Maximum distance of a re-detected point from its prediction, pixels.
 const MAX_CORRECTION_PX: f32 = 3.0;
-/// Fewest points that one epipolar geometry explains, and smallest share of those that were aligned: fewer agree by
-/// chance.
-const MIN_FOUND: usize = 10;
-const MIN_SHARE: f64 = 0.6;
-/// Smallest share of the matches that one epipolar geometry explains.
-const MIN_INLIER_SHARE: f64 = 0.3;
-/// Distance from the line, and ratio and distance of descriptors, where the line says where to look.
+/// Minimum number of re-detected points that one epipolar geometry explains: fewer agree by chance.
+const MIN_AGREEING: usize = 10;
+/// Minimum share of the aligned points that one epipolar geometry explains: fewer agree by chance.
+const MIN_AGREEING_SHARE: f64 = 0.6;
+/// Minimum inlier ratio of the matches under one epipolar geometry.
+const MIN_INLIER_RATIO: f64 = 0.3;
+/// Maximum distance of a guided match from its epipolar line, pixels.
 const MAX_GUIDED_ERROR_PX: f64 = 2.0;
+/// Limits of the descriptors of guided matches, which the epipolar line restricts.
 const GUIDED: MatchOptions = MatchOptions { max_ratio: 0.85, max_distance: 0.65 };
 
 /// The view at hand.
@@ -73,7 +76,7 @@ pub fn find(
     let (pairs, mut rng) = correspondences(now.camera, &ends);
     let agreeing = two_view::verify(&pairs, MAX_POINT_ERROR_PX / now.camera.mean_focal(), &mut rng);
     tracing::trace!(moves = moves.len(), found = found.len(), agreeing = agreeing.len(), "aligned");
-    if agreeing.len() < MIN_FOUND || (agreeing.len() as f64) < MIN_SHARE * found.len() as f64 {
+    if agreeing.len() < MIN_AGREEING || (agreeing.len() as f64) < MIN_AGREEING_SHARE * found.len() as f64 {
         return Vec::new();
     }
     let mut agrees = vec![false; found.len()];
@@ -99,7 +102,7 @@ fn moves_between(before: &AffineViews, now: &Now<'_>) -> Vec<Move> {
     let max_error = MAX_MATCH_ERROR_PX / now.camera.mean_focal();
     let Some(geometry) = two_view::estimate(&pairs_of_ends, max_error, &mut rng) else { return Vec::new() };
     let enough =
-        geometry.inliers.len() >= FEW_POINTS && geometry.inliers.len() as f64 >= MIN_INLIER_SHARE * ends.len() as f64;
+        geometry.inliers.len() >= FEW_POINTS && geometry.inliers.len() as f64 >= MIN_INLIER_RATIO * ends.len() as f64;
     if !enough {
         return Vec::new();
     }
@@ -176,7 +179,7 @@ impl<'a> Field<'a> {
 
     /// Where, and how turned and grown, a point may be found.
     fn predictions(&self, from: Point2<f32>) -> Vec<Warp> {
-        let near = self.tree.nearest(&from.coords.cast::<f64>().into(), NUM_ROUND);
+        let near = self.tree.nearest(&from.coords.cast::<f64>().into(), NUM_AFFINE);
         let round: Vec<&Move> = near.iter().map(|&i| &self.moves[i]).collect();
         let single =
             round.iter().take(NUM_SINGLE).map(|m| Warp { shape: m.shape, center: m.to + m.shape * (from - m.from) });

@@ -11,14 +11,15 @@ use nalgebra::{Point2, Vector2};
 use super::VideoOptions;
 use crate::scene::Mask;
 
-/// Sides of a target, as the root of its area, in half the side of a patch: two patches fit across it.
+/// Side of a target (the root of its area) over half the side of its largest patch: two patches fit across it.
 const SIDE_IN_RADII: f64 = 5.0;
-/// Half the side of the smallest patch that still tells a position.
+/// Half the side of the smallest patch that still determines a position, pixels.
 const MIN_RADIUS_PX: i32 = 3;
-/// Share of a target's side that points keep from one another, and from the outline, at the most.
+/// Largest spacing of points, from one another and from the outline, as a share of the target's side.
 const SPACING: f64 = 0.1;
-/// Smallest distance of two points, and from the outline: what lies nearer to it is road as often as not.
+/// Smallest spacing of two points, pixels.
 const MIN_SPACING_PX: f64 = 2.0;
+/// Smallest distance of points from the outline, pixels: a nearer one is on the road as often as not.
 const MIN_BORDER_PX: u32 = 1;
 
 /// Where a target is, and how large.

@@ -43,6 +43,7 @@ impl Live {
 /// Whitening of a position with this covariance (see [`Patch::covariance`]), relative to that of a good corner: on
 /// rendered video the errors against the truth are 0.05 px times these relative standard deviations, from 0.5 to 20.
 pub fn whitening(covariance: Matrix2<f32>) -> Whitening {
+    // Standard deviation of the position of a good corner, pixels: that of the measurement above.
     const TYPICAL_PX: f64 = 0.05;
     Whitening::from_covariance(covariance.cast::<f64>() / (TYPICAL_PX * TYPICAL_PX), 0.5, 20.0)
 }

@@ -167,6 +167,7 @@ fn named_version(build_info: &str) -> Option<String> {
 
 /// The version that the library's symbols carry, `VERS_1.31.1`; it stands near the beginning of the file.
 fn symbol_version(library: &Path) -> Option<String> {
+    // Prefix of a version among the library's symbols.
     const MARK: &[u8] = b"VERS_";
     let mut head = Vec::new();
     File::open(library).ok()?.take(4 << 20).read_to_end(&mut head).ok()?;

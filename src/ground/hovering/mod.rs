@@ -84,6 +84,7 @@ pub fn hovering_ground(
     let normal = |angles: Vector2<f64>| solver.problem.normal(angles);
     let normal_in_world = normal(tilt.angles);
     let by_angle = [Vector2::x(), Vector2::y()].map(|axis| {
+        // Step of the numerical derivatives, radians.
         const STEP: f64 = 1e-4;
         (normal(tilt.angles + axis * STEP) - normal(tilt.angles - axis * STEP)) / (2.0 * STEP)
     });

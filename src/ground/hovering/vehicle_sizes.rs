@@ -21,9 +21,11 @@ const REACH: usize = 3;
 /// Minimum displacement between them, as a share of the vehicle's extent: the middles of masks err by a tenth of it. It
 /// must not depend on the normal: the sum of squares would be least where fewest images have a direction.
 const MIN_DISPLACEMENT: f64 = 0.5;
-/// Smallest inclination that is tried, radians: a horizon just outside the image.
+/// Smallest inclination of the search, radians: a horizon just outside the image.
 const MIN_INCLINATION: f64 = 0.03;
+/// Number of steps of the search over inclinations.
 const NUM_PITCHES: usize = 120;
+/// Step of the search over inclinations, radians.
 const PITCH_STEP: f64 = (MAX_INCLINATION - MIN_INCLINATION) / NUM_PITCHES as f64;
 
 /// Moving vehicles with their images, in cameras whose focal length is `zoom` times the one of the background.
@@ -266,6 +268,7 @@ impl Problem {
     }
 
     fn add_vehicles(&self, local: &mut Local, at: &Parameters, noise: f64) {
+        // Step of the numerical derivatives, radians.
         const STEP: f64 = 1e-4;
         let loss = RobustLoss::Cauchy { scale: 2.0 };
         let (size_std, extent_std) = (SIZE_STD * noise, EXTENT_STD * noise);

@@ -34,8 +34,8 @@ use crate::scene::{Frame, FrameId, GroundPlane, Image, MetricFrame, ObjectId, Ob
 use crate::trajectory::{Outlines, outline_pixels};
 use hovering::Hovering;
 
-/// Fewest keyframes of a first map: two seconds of a camera that moves.
-pub(super) const MIN_KEYS: usize = 6;
+/// Minimum number of keyframes of a first map: two seconds of a camera that moves.
+pub(super) const MIN_KEYFRAMES: usize = 6;
 /// Fewest points of a map.
 const MIN_POINTS: usize = 60;
 /// Share of the tracks that must become points: of a wrong map hardly any do.
@@ -60,7 +60,7 @@ const MAX_KEPT_TILT_STD: f64 = 2.0 * SLOPE_STD;
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub(super) enum NoMap {
     /// The camera hardly moves, and does not only rotate.
-    #[error("camera hardly moves: {found} of {MIN_KEYS} keyframes; fly sideways or forward")]
+    #[error("camera hardly moves: {found} of {MIN_KEYFRAMES} keyframes; fly sideways or forward")]
     Keyframes {
         /// Keyframes so far.
         found: usize,
@@ -363,7 +363,7 @@ impl Mapper {
         snapshot: &Snapshot,
     ) -> Result<Result<(Reconstruction, mapper::Report), NoMap>, PipelineError> {
         let keys = keyframes(snapshot);
-        if keys.len() < MIN_KEYS {
+        if keys.len() < MIN_KEYFRAMES {
             return Ok(Err(NoMap::Keyframes { found: keys.len() }));
         }
         let table = sub_table(&snapshot.table, &keys, MIN_TRACK);

@@ -408,8 +408,9 @@ fn weight_of(distance: f64) -> f64 {
 
 /// A step that linearisation can be trusted with.
 fn limited(step: Step) -> Step {
-    const MOST: [f64; NUM_PARAMETERS] = [0.7, 0.5, 0.5, 0.5, f64::INFINITY, f64::INFINITY, f64::INFINITY, 1.0];
-    let shares = step.iter().zip(MOST).map(|(value, most)| value.abs() / most);
+    // Maximum step of each parameter: logarithm of the scale, rotation in radians, position, clock offset in seconds.
+    const MAX_STEP: [f64; NUM_PARAMETERS] = [0.7, 0.5, 0.5, 0.5, f64::INFINITY, f64::INFINITY, f64::INFINITY, 1.0];
+    let shares = step.iter().zip(MAX_STEP).map(|(value, most)| value.abs() / most);
     step / shares.fold(1.0, f64::max)
 }
 

@@ -83,9 +83,11 @@ impl SceneMedian {
     }
 }
 
-/// Of a pixel that differs; that does so strongly; that is no shadow.
+/// Flag of a pixel that differs.
 const DIFFERS: u8 = 1;
+/// Flag of a pixel that differs strongly.
 const STRONG: u8 = 2;
+/// Flag of a pixel that differs and is no shadow.
 const LIT: u8 = 4;
 
 fn triples(image: &RgbImage) -> impl IndexedParallelIterator<Item = &[u8]> {

@@ -25,8 +25,9 @@ const SIDE: usize = 128;
 const MARGIN: f64 = 1.5;
 /// A side of the box counts for at least the other one over this.
 const MAX_STRETCH: f64 = 2.0;
-/// Pixels become (v − `MEAN`) / `SCALE`.
+/// Value of a pixel that is zero in the input, (v − `MEAN`) / `SCALE`.
 const MEAN: f32 = 128.0;
+/// Range of pixel values that is one unit of the input.
 const SCALE: f32 = 64.0;
 
 /// Loads the network. `resources` is what it may take, or a number of threads; 0 is one per core.

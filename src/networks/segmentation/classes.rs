@@ -16,6 +16,7 @@ const COCO: &str = "\
     laptop, mouse, remote, keyboard, cell phone, microwave, oven, toaster, sink, refrigerator, book, clock, vase, \
     scissors, teddy bear, hair drier, toothbrush";
 
+/// Number of COCO's classes.
 const NUM_COCO: usize = 80;
 
 /// Numbers that COCO's own annotations leave out; torchvision counts by these.

@@ -19,9 +19,10 @@ use crate::pipeline::{GroundLabels, Instances, Options, PipelineError, Result, S
 use crate::scene::{LabelMap, ObjectId};
 use crate::video::{PictureCamera, Source};
 
-/// Memory of an image while it is processed: as its file holds it and decoded, and at the size of the frames with
-/// everything that is made of it. Three images of 13,000 × 13,000 pixels took 36 bytes per pixel.
+/// Memory of an image at the size of its file, as the file holds it and decoded, bytes per pixel. With that of the
+/// frame, three images of 13,000 × 13,000 pixels took 36 bytes per pixel.
 const SOURCE_BYTES_PER_PIXEL: u128 = 8;
+/// Memory of an image at the size of the frames, with everything that is made of it, bytes per pixel.
 const FRAME_BYTES_PER_PIXEL: u128 = 32;
 
 /// Looks whether memory holds the pictures.

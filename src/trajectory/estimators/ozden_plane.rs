@@ -58,9 +58,10 @@ pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
 /// # Errors
 /// [`ScaleError::Undetermined`] if the cost is least at an end of the range: it has no minimum there.
 fn least(guess: f64, cost: impl Fn(f64) -> f64) -> Result<f64, ScaleError> {
-    // Contact of the lowest points, the guess, is a third off at most (the paper's own worst case); five is beyond any
-    // doubt. One percent from ratio to ratio sees every valley of a criterion; forty rounds narrow it by 10⁻⁸.
+    // Search range over the guess. Contact of the lowest points, the guess, is a third off at most (the paper's own
+    // worst case); five is beyond any doubt.
     const FACTORS: [f64; 2] = [0.2, 5.0];
+    // Number of ratios of the grid: one percent from ratio to ratio sees every valley of a criterion.
     const NUM: usize = 321;
     let [first, last] = FACTORS.map(f64::ln);
     let ratio = |k: usize| guess * (first + (last - first) * k as f64 / (NUM - 1) as f64).exp();
@@ -70,6 +71,7 @@ fn least(guess: f64, cost: impl Fn(f64) -> f64) -> Result<f64, ScaleError> {
         return Err(ScaleError::Undetermined("the cost is least at the end of the search range"));
     };
     let (mut low, mut high) = (ratio(best - 1), ratio(best + 1));
+    // Forty rounds narrow the interval by 10⁻⁸.
     for _ in 0..40 {
         let (a, b) = (low + 0.382 * (high - low), low + 0.618 * (high - low));
         if cost(a) < cost(b) { high = b } else { low = a }

@@ -50,8 +50,8 @@ pub struct BodyOnGround {
     pub mask_std: f64,
 }
 
-/// Frames that are looked at, at most: masks of the frames between have the same errors.
-const MAX_SIGHTS: usize = 12;
+/// Maximum number of frames used: masks of the frames between have the same errors.
+const MAX_FRAMES: usize = 12;
 /// Width over length and height over width of a two-wheeler with its rider.
 const OF_TWO_WHEELERS: [f64; 2] = [0.36, 1.9];
 /// Standard deviation of the logarithm of height over width: half of the range from cars to lorries.
@@ -59,21 +59,23 @@ const HEIGHT_STD: f64 = 0.2;
 /// Standard deviation of the logarithm of a dimension beyond which it counts as unobserved: half of that of a width by
 /// a known length and usual proportions.
 const OBSERVED: f64 = 0.15;
-/// Standard deviation of a dimension by masks that are too large or too small in all frames, and of all vehicles:
-/// shadows, dark edges. A share of it, without which σ of lengths on seven rendered flights is 1.46 times too small,
-/// and pixels, half of one at each edge: cars of 12 px on a drone's clip are 5.3 m long in the median.
-const MASKS: f64 = 0.05;
-const MASKS_PX: f64 = 1.0;
-/// Standard deviation of the heading of a vehicle that moves, radians, and of one at rest from the next start: a
-/// quarter of a turn is shared by two.
-const HEADING: f64 = 0.05;
-const TURN: f64 = 0.5;
-/// Starts for a vehicle at rest, over half a turn.
+/// Standard deviation of a dimension by masks that are too large or too small in all frames, and of all vehicles
+/// (shadows, dark edges), as a share of it: without it σ of lengths on seven rendered flights is 1.46 times too small.
+const MASK_STD: f64 = 0.05;
+/// Standard deviation of a dimension by the same masks, pixels, half of one at each edge: cars of 12 px on a drone's
+/// clip are 5.3 m long in the median.
+const MASK_STD_PX: f64 = 1.0;
+/// Standard deviation of the heading of a moving vehicle, radians.
+const MOVING_HEADING_STD: f64 = 0.05;
+/// Standard deviation of the heading of a vehicle at rest from the next start, radians: a quarter of a turn is shared
+/// by two.
+const START_HEADING_STD: f64 = 0.5;
+/// Number of starts for a vehicle at rest, over half a turn.
 const NUM_TURNS: u32 = 4;
-/// Cost above the least one, and turn from it, radians, up to which and from which another answer is as good: two
-/// standard deviations, more than a direction is off.
-const AS_GOOD: f64 = 4.0;
-const OTHER: f64 = 0.35;
+/// Cost over the least one up to which another answer is as good: two standard deviations.
+const AMBIGUOUS_COST: f64 = 4.0;
+/// Turn from the best answer above which another answer is a different one, radians: more than a direction is off.
+const AMBIGUOUS_TURN: f64 = 0.35;
 
 impl BodyOnGround {
     /// From all frames; `None` where too few show the vehicle.
@@ -85,7 +87,7 @@ impl BodyOnGround {
         let sight = |(stand, place): &(&Stand, &Rigid3)| {
             OutlineView::new(stand.camera, *stand.cam_from_world * **place, stand.outline, &[])
         };
-        let step = placed.len().div_ceil(MAX_SIGHTS).max(1);
+        let step = placed.len().div_ceil(MAX_FRAMES).max(1);
         let sights: Vec<OutlineView> = placed.iter().step_by(step).filter_map(sight).collect();
         let (weight, independent) = weight_of(&sights)?;
         // From above, detectors take a car for a bus; a box is among the bodies of cars.
@@ -109,7 +111,7 @@ impl BodyOnGround {
             (stand.position - stand.cam_from_world.center()).norm() / stand.camera.mean_focal()
         };
         let pixel = median(placed.iter().map(pixel).collect())?;
-        let of_masks = |size: f64| MASKS.hypot(MASKS_PX * pixel / size);
+        let of_masks = |size: f64| MASK_STD.hypot(MASK_STD_PX * pixel / size);
         let with_masks =
             |found: Estimate| Estimate { std: found.std.hypot(of_masks(found.value) * found.value), ..found };
         let seen = |k| logs.within(k, OBSERVED).map(with_masks);
@@ -133,7 +135,7 @@ fn widened(fit: Fit) -> Fit {
 
 /// Returns true if another answer is about as good and turned otherwise.
 fn is_other(best: &Fit, other: &Fit) -> bool {
-    other.cost < best.cost + AS_GOOD && turn_between(best, other) > OTHER
+    other.cost < best.cost + AMBIGUOUS_COST && turn_between(best, other) > AMBIGUOUS_TURN
 }
 
 /// Angle between the axes of two answers, radians.
@@ -149,7 +151,7 @@ fn expected(size: f64, body: Body, turn: Option<f64>) -> Expected {
     let shares = if body == Body::TwoWheeler { OF_TWO_WHEELERS } else { [WIDTH_PER_LENGTH, HEIGHT_PER_WIDTH] };
     let width = size * shares[0].sqrt();
     let (length, height) = (width / shares[0], width * shares[1]);
-    let yaw = if turn.is_some() { TURN } else { HEADING };
+    let yaw = if turn.is_some() { START_HEADING_STD } else { MOVING_HEADING_STD };
     let proportions = [[1, 0], [2, 1]].into_iter().zip(shares).zip([WIDTH_STD, HEIGHT_STD]);
     Expected {
         value: Unknowns::from([length.ln(), width.ln(), height.ln(), 0.0, 0.0, turn.unwrap_or(0.0), 0.0]),

@@ -9,14 +9,17 @@ use crate::math::Rigid3;
 use crate::scene::{ContactError, GroundPlane, NoContact};
 use crate::trajectory::Silhouette;
 
-/// Standard deviation of a mask's edge, new in every frame: pixels, and share of the mask's extent across the edge. Of
-/// four rendered sequences with masks by the program: 0.7 to 1.4 px at 100 px; docs/maths/ground-track.md.
+/// Constant part of the standard deviation of a mask's edge, independent in every frame, pixels. On four rendered
+/// sequences with masks by the program it is 0.7 to 1.4 px in all at 100 px; docs/maths/ground-track.md.
 const EDGE_PX: f64 = 0.5;
-const EDGE: f64 = 0.01;
-/// The same of the part that all frames share: shadows below the vehicle are taken for it, or its tires are not. On the
-/// same sequences 1 to 2 px at 100 to 150 px.
+/// Part of the same standard deviation that grows with the mask, as a share of its extent across the edge.
+const EDGE_SHARE: f64 = 0.01;
+/// Constant part of the standard deviation of a mask's edge that all frames share, pixels: shadows below the vehicle
+/// are taken for it, or its tires are not. On the same sequences it is 1 to 2 px in all at 100 to 150 px.
 const BIAS_PX: f64 = 1.0;
-const BIAS: f64 = 0.02;
+/// Part of the same standard deviation that grows with the mask, as a share of its extent across the edge.
+const BIAS_SHARE: f64 = 0.02;
+
 /// Where a vehicle stands on the ground.
 #[derive(Clone, Debug)]
 pub(super) struct ContactPoint {
@@ -139,8 +142,8 @@ impl Ray<'_> {
         let away = (self.meets(pixel - down * step)? - position) / step;
         let aside = (self.meets(pixel + along * step)? - position) / step;
         let jacobian = Matrix3x2::from_columns(&[away, aside]);
-        let [edge_px, side_px] = [height_px, width_px].map(|extent| EDGE_PX.hypot(EDGE * extent));
-        let bias_px = BIAS_PX.hypot(BIAS * height_px);
+        let [edge_px, side_px] = [height_px, width_px].map(|extent| EDGE_PX.hypot(EDGE_SHARE * extent));
+        let bias_px = BIAS_PX.hypot(BIAS_SHARE * height_px);
         let sight = position - self.cam_from_world.center();
         let distance = sight.norm();
         let sinking = self.height / distance;

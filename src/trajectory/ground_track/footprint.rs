@@ -18,10 +18,11 @@ use crate::trajectory::body::{HEIGHT_PER_WIDTH, WIDTH_PER_LENGTH, WIDTH_STD};
 /// Standard deviation of the logarithm of an extent: by the spread of heights (0.12), by masks, and by the box, which
 /// vehicles fill up to their bonnets and corners only.
 const EXTENT_STD: f64 = 0.15;
-/// Steps of φ and to either side of W / L: more change the depth by less than a per cent.
+/// Number of steps of φ: more change the depth by less than a per cent.
 const NUM_ANGLES: i32 = 36;
+/// Number of steps of W / L to either side: more change the depth by less than a per cent.
 const NUM_WIDTHS: i32 = 6;
-/// Standard deviations of W / L to either side.
+/// Range of W / L to either side, standard deviations.
 const REACH: f64 = 3.0;
 
 /// Depth of the footprint along the horizontal line of sight, and its standard deviation, in the unit of the extents;

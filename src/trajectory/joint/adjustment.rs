@@ -16,7 +16,7 @@ use crate::trajectory::{
     intersection, least_squares, object_center,
 };
 
-/// Standard deviation, relative to it, up to which the ratio of all frames is a better start than contact.
+/// Maximum relative standard deviation of the ratio of all frames with which it is a better start than contact.
 const SURE: f64 = 0.1;
 
 /// Standard deviation of a vehicle's inclination against its plane, radians: springs, and planes that are not quite
@@ -25,10 +25,11 @@ const SIGMA_TILT: f64 = 0.03;
 /// Standard deviations beyond which a plane, or an image position, loses weight (Cauchy): few of normal noise do.
 const LOSS_SCALE: f64 = 3.0;
 
-/// Shares of the cost at which adjustments end: of the whole object, and of one without some of its tracks or frames,
-/// which begins where the whole one ended. At 1e-5 their sizes vary as they do at 1e-6, at 1e-4 the surest less.
-const TO_THE_END: f64 = 1e-6;
-const OF_A_PART: f64 = 1e-5;
+/// Relative change of the cost at which the adjustment of the whole object ends.
+const TOLERANCE: f64 = 1e-6;
+/// The same of the object without some of its tracks or frames, whose adjustment begins where that of the whole one
+/// ended. At 1e-5 the sizes vary as they do at 1e-6, at 1e-4 the surest less.
+const PART_TOLERANCE: f64 = 1e-5;
 
 /// The ratio to begin with: of all frames where the camera's climb determines it, else where the object meets the
 /// ground.
@@ -94,7 +95,7 @@ impl<'a> Adjustment<'a> {
         let noise_px = STD_PER_MAD * median(residuals).ok_or(ScaleError::NoObservations)?;
         let noise_px = noise_px.max(1e-3);
         let contact_options = Body::of_class(&evidence.description.class).contact(&options.contact);
-        Ok(Self { evidence, options, contact_options, object, noise_px, wander, camera_height, tolerance: TO_THE_END })
+        Ok(Self { evidence, options, contact_options, object, noise_px, wander, camera_height, tolerance: TOLERANCE })
     }
 
     /// The same adjustment of a part of the object.
@@ -104,7 +105,7 @@ impl<'a> Adjustment<'a> {
 
     /// The same, adjusted as far as it takes to see by how much the part's size differs.
     pub(super) fn of_part(&self, object: Reconstruction) -> Self {
-        Self { tolerance: OF_A_PART, ..self.with_object(object) }
+        Self { tolerance: PART_TOLERANCE, ..self.with_object(object) }
     }
 
     /// The same, as little believed as can be: how little an object wanders in a few frames is no proof.

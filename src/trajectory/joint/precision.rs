@@ -29,7 +29,8 @@ pub(super) fn median_error_px(model: &Reconstruction) -> Option<f64> {
 /// It is (Σ JᵀJ)⁻¹ times the variance of the point's own residuals, to which the typical one of all points is added as
 /// if it came from three more observations.
 pub(super) fn point_covariances(model: &Reconstruction) -> BTreeMap<Point3dId, Option<Matrix3<f64>>> {
-    const MORE_OBSERVATIONS: f64 = 3.0;
+    // Number of observations with the typical residual that are added to those of a point.
+    const PRIOR_OBSERVATIONS: f64 = 3.0;
     let Some(typical_px) = median_error_px(model) else { return BTreeMap::new() };
     let mut sums: BTreeMap<Point3dId, (Matrix3<f64>, f64, f64)> = BTreeMap::new();
     for image in model.images.values() {
@@ -46,7 +47,7 @@ pub(super) fn point_covariances(model: &Reconstruction) -> BTreeMap<Point3dId, O
     }
     let covariance = |(information, squares, count): (Matrix3<f64>, f64, f64)| {
         let variance_px2 =
-            (squares + MORE_OBSERVATIONS * typical_px * typical_px) / (2.0 * (count + MORE_OBSERVATIONS));
+            (squares + PRIOR_OBSERVATIONS * typical_px * typical_px) / (2.0 * (count + PRIOR_OBSERVATIONS));
         let is_determined = symmetric_eigen(information).is_some_and(|eigen| eigen.eigenvalues.min() > 0.0);
         let inverse =
             information.try_inverse().filter(|inverse| is_determined && inverse.iter().all(|x| x.is_finite()));

@@ -31,10 +31,11 @@ const LIKELY_RISE: f64 = 0.7;
 /// Factor by which standard deviations from image positions are too small: errors of a track are common to its
 /// observations.
 const INFLATION: f64 = 2.0;
-/// Fewest neighbours that make a surface.
+/// Minimum number of neighbors of a surface.
 const MIN_NEIGHBOURS: usize = 6;
-/// Rounds of reweighting, and the standard deviations at which a neighbour loses weight (Cauchy).
+/// Number of rounds of reweighting.
 const ROUNDS: usize = 4;
+/// Scale of the robust loss of a neighbor's residual (Cauchy), standard deviations.
 const CAUCHY_SCALE: f64 = 2.0;
 
 /// One point and how it may be off.

@@ -62,11 +62,14 @@ pub struct CommonStd {
     pub scale: f64,
 }
 
-/// Errors of positions as shares of the distance to the camera: along the line of sight and across it, new in every
-/// frame; and along it and across it, wandering. Chosen on fifteen rendered sequences; docs/maths/smoother.md.
+/// Standard deviation of a position along the line of sight, independent in every frame, as a share of the distance to
+/// the camera. It and the next three were chosen on fifteen rendered sequences; docs/maths/smoother.md.
 const ALONG: f64 = 5e-4;
+/// Standard deviation of a position across the line of sight, independent in every frame, as a share of the distance.
 const ACROSS: f64 = 1e-4;
+/// Standard deviation of the correlated error along the line of sight, as a share of the distance.
 pub(super) const DRIFT: f64 = 1.5e-3;
+/// Standard deviation of the correlated error across the line of sight, as a share of the distance.
 const DRIFT_ACROSS: f64 = 1.2e-3;
 /// Positions of a vehicle in traffic: metres, m/s, m/s², m²/s⁵.
 const MOVING: Kind = Kind { first: [10.0, 40.0, 5.0], usual_jerk: 1.0, last_axis: 0.1, drift_s: &[1.0, 3.0, 3.0, 3.0] };

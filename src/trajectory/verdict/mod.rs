@@ -101,8 +101,9 @@ fn alone(candidate: &Candidate, measures: &Measures) -> Vec<Reason> {
     reasons
 }
 
-/// Weights of a minor and of a major doubt.
+/// Weight of a minor doubt.
 const SMALL: f64 = 0.25;
+/// Weight of a major doubt.
 const HALF: f64 = 0.5;
 /// Doubts that sum up to this make a trajectory doubtful.
 const DOUBTFUL: f64 = 1.0;

@@ -15,8 +15,9 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, fundamental_from_points, homography_from_points};
 use crate::scene::{ImageId, Reconstruction};
 
-/// COLMAP's default (`TwoViewGeometryOptions`).
+/// Maximum error of an inlier, pixels: COLMAP's default (`TwoViewGeometryOptions`).
 const MAX_ERROR_PX: f64 = 4.0;
+/// Share of the inliers explained by a homography above which a pair is planar or panoramic: COLMAP's default.
 const PLANAR_SHARE: f64 = 0.8;
 
 /// COLMAP's configuration of a pair, with its number.

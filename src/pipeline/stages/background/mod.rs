@@ -141,6 +141,7 @@ fn warning_of_remark(remark: &ModelWeakness) -> Warning {
 /// larger frames those near the camera move too far between frames, and the rest are far away and have hardly any
 /// parallax.
 fn cure_of_large_frames((width, height): (u32, u32)) -> String {
+    // Longer side above which frames are large, and that of the remedy, pixels.
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
         true => {

@@ -28,10 +28,11 @@ const NORMAL: f64 = 1.64;
 /// Mean score of the detector from which an inconsistent track may be a vehicle: the one from which its word holds
 /// however seldom it comes. A sign over the road is no vehicle, and moves over the ground as the camera does.
 const SURE: f64 = 0.5;
-/// Apparent sizes of vehicles, metres: the larger side at least as a motorcycle from behind is high, at most as a truck
-/// with its trailer is long; the smaller side at most as a truck is high, and seen from above as one is that stands
-/// across the image.
+/// Range of the larger apparent side of a vehicle, meters: from the height of a motorcycle from behind to the length of
+/// a truck with its trailer.
 const LARGER_M: [f64; 2] = [1.0, 25.0];
+/// Maximum of the smaller apparent side of a vehicle, meters: the height of a truck. From above, the limit is that of a
+/// truck diagonal in the image.
 const SMALLER_M: f64 = 5.0;
 /// Standard deviations by which a size must be outside.
 const OUTSIDE: f64 = 2.0;

@@ -8,17 +8,19 @@ use crate::motion::View;
 use crate::pipeline::stages::motion::World;
 use crate::scene::{BoundingBox, FrameId, Mask};
 
-/// Seconds of a piece's beginning or end that say how it moves there.
-const LOOK_S: f64 = 1.0;
-/// Frames that say so at least, where the piece has them.
-const LOOK_FRAMES: usize = 6;
-/// A mask whose area is below this share of the largest one is partly hidden.
-const LEAST_WHOLE: f64 = 0.75;
-/// Tolerance in sides of the object: at once, and per second. The next car at the kerb is more than one side away.
+/// Length of a piece's beginning or end from which its motion there is estimated, seconds.
+const END_S: f64 = 1.0;
+/// Minimum number of frames of that estimate, where the piece has them.
+const MIN_END_FRAMES: usize = 6;
+/// Share of the largest mask's area below which a mask is partly occluded.
+const MIN_WHOLE_SHARE: f64 = 0.75;
+/// Tolerance of the predicted position without a gap, sides of the object: the next car at the kerb is more than one
+/// side away.
 const TOLERATED_SIDES: f64 = 0.6;
+/// Growth of the tolerance with the gap, sides of the object per second.
 const TOLERATED_SIDES_PER_S: f64 = 0.1;
-/// The same as a share of the way that it goes meanwhile: vehicles brake and turn.
-const TOLERATED_WAY: f64 = 0.2;
+/// Growth of the tolerance with the predicted displacement, as a share of it: vehicles brake and turn.
+const TOLERATED_SHARE: f64 = 0.2;
 
 /// Two views of one vehicle from directions that are this far apart, radians, need have no points in common: features
 /// of a car are recognized up to some 40°.
@@ -84,7 +86,7 @@ impl EndMotion {
 ///
 /// * `frames` – id and time of those with a mask, from the end on.
 pub(super) fn near(frames: &[(FrameId, f64)]) -> &[(FrameId, f64)] {
-    let is_near = |k: usize| k < LOOK_FRAMES || (frames[k].1 - frames[0].1).abs() <= LOOK_S;
+    let is_near = |k: usize| k < MIN_END_FRAMES || (frames[k].1 - frames[0].1).abs() <= END_S;
     &frames[..(0..frames.len()).take_while(|k| is_near(*k)).count()]
 }
 
@@ -93,7 +95,7 @@ pub(super) fn near(frames: &[(FrameId, f64)]) -> &[(FrameId, f64)] {
 /// * `spots` – of the frames that [`near`] names, from the end on.
 pub(super) fn course(spots: &[Spot], world: Option<&Ground<'_>>) -> Option<EndMotion> {
     let largest = *spots.iter().max_by(|a, b| a.area.total_cmp(&b.area))?;
-    let whole: Vec<Spot> = spots.iter().filter(|spot| spot.area >= LEAST_WHOLE * largest.area).copied().collect();
+    let whole: Vec<Spot> = spots.iter().filter(|spot| spot.area >= MIN_WHOLE_SHARE * largest.area).copied().collect();
     let spot = *whole.first()?;
     let places = whole.iter().filter_map(|s| Some((s.time_s - spot.time_s, world?.place(s)?)));
     Some(EndMotion { spot, largest, on_ground: line(&places.collect::<Vec<_>>()) })
@@ -162,7 +164,7 @@ impl Ground<'_> {
         let (at_rest, _) = self.seen(place, to.spot.frame).unwrap_or((expected, 0.0));
         let distance = |a: [f64; 2], b: [f64; 2]| (a[0] - b[0]).hypot(a[1] - b[1]);
         let sides = TOLERATED_SIDES + TOLERATED_SIDES_PER_S * elapsed_s.abs();
-        let tolerated = sides * to.spot.side_px() + TOLERATED_WAY * distance(expected, at_rest);
+        let tolerated = sides * to.spot.side_px() + TOLERATED_SHARE * distance(expected, at_rest);
         Some(distance(expected, to.spot.foot()) / tolerated)
     }
 }
@@ -226,7 +228,7 @@ mod tests {
         let end = near(&frames);
         assert_eq!((end[0].0, end.len()), (FrameId(89), 33));
         let slow: Vec<(FrameId, f64)> = (0..20).map(|k| (FrameId(k), f64::from(k))).collect();
-        assert_eq!(near(&slow).len(), LOOK_FRAMES);
+        assert_eq!(near(&slow).len(), MIN_END_FRAMES);
         assert!(near(&[]).is_empty());
     }
 }
