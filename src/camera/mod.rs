@@ -97,7 +97,7 @@ impl Camera {
     /// The guess for the unknown camera of a video: focal length 0.75 × the longer side, a field of view of 67°.
     ///
     /// The middle of what videos are taken with, in longer sides: phones 0.65 to 0.85, drones 0.65 to 0.8, cameras of
-    /// driving data sets 0.55 to 0.95, dashcams and action cameras 0.4 to 0.6; docs/sfm.md has the sources.
+    /// driving data sets 0.55 to 0.95, dashcams and action cameras 0.4 to 0.6.
     pub fn prior(width: u32, height: u32) -> Self {
         Self::with_focal(width, height, 0.75 * f64::from(width.max(height)))
     }

@@ -148,7 +148,7 @@ struct Slope {
 }
 
 impl Slope {
-    /// Eq. 13b: near points count more, stray ones do not, and slopes are small. `None` where nothing is left.
+    /// Eq. 13a: near points count more, stray ones do not, and slopes are small. `None` where nothing is left.
     fn through(points: &[Vector3<f64>], reach: f64, least_std: f64) -> Option<Self> {
         let nearness = |x: &Vector3<f64>| (-0.5 * x.xy().norm_squared() / (reach * reach)).exp();
         let prior = Matrix3::from_diagonal(&Vector3::new(0.0, TILT.powi(-2), TILT.powi(-2)));

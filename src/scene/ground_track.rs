@@ -88,7 +88,7 @@ pub struct GroundPosition {
     pub name: String,
     /// Its time, seconds.
     pub time_s: f64,
-    /// The point of the ground below the lower edge of the mask, in the background's frame and unit.
+    /// The middle of the vehicle's footprint, in the background's frame and unit.
     pub position: [f64; 3],
     /// Its error, in the same frame and unit.
     pub error: ContactError,

@@ -192,7 +192,7 @@ pub struct Options {
     /// Seed of all random numbers.
     #[schemars(extend("unit" = "any whole number"))]
     pub seed: u64,
-    /// Number of threads; `None` for one per core. Results do not depend on it.
+    /// Number of threads; `None` for one per core. Results agree to 1e-8.
     #[schemars(extend("unit" = "threads"))]
     pub threads: Option<usize>,
     /// Memory limit for input files, images and networks, such as `2GiB`; `None` for four fifths of the machine's or
