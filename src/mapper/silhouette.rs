@@ -57,7 +57,7 @@ impl SilhouetteVotes {
         let Some(image) = object.images.get(&image) else { return };
         let camera = object.camera_of(image);
         let (width, height) = (silhouette.width(), silhouette.height());
-        let is_whole = silhouette.bounding_box().is_some_and(|bounds| !bounds.touches_border(width, height));
+        let is_whole = silhouette.bounding_box().is_some_and(|bounds| !bounds.is_truncated(width, height));
         for (&id, point) in &object.points {
             if point.track.first().is_some_and(|element| sub_map(element.image) != of_image) {
                 continue;

@@ -29,6 +29,9 @@ struct Runs {
 /// Most pixels of a mask: far beyond any frame of a video; keeps a damaged or hostile file from filling the memory.
 pub const MAX_MASK_PIXELS: u64 = 1 << 28;
 
+/// Distance from the border of an image at which it may truncate a mask, pixels: networks omit the outermost pixels.
+pub const TRUNCATION_PX: u32 = 3;
+
 impl From<Mask> for Runs {
     fn from(mask: Mask) -> Self {
         let window = mask.bounding_box().unwrap_or(BoundingBox { x0: 0, y0: 0, x1: 0, y1: 0 });
@@ -82,9 +85,12 @@ impl BoundingBox {
         self.y1 - self.y0
     }
 
-    /// Returns true if it reaches the border of an image of a size, pixels.
-    pub fn touches_border(&self, width: u32, height: u32) -> bool {
-        self.x0 == 0 || self.y0 == 0 || self.x1 >= width || self.y1 >= height
+    /// Returns true if the border of an image of a size, pixels, may truncate the object: masks end up to
+    /// [`TRUNCATION_PX`] before it, and as much as the sides of boxes are off, a twentieth of the object's size.
+    pub fn is_truncated(&self, width: u32, height: u32) -> bool {
+        let margin = |side: u32| TRUNCATION_PX.max(side / 20);
+        let (x, y) = (margin(self.width()), margin(self.height()));
+        self.x0 < x || self.y0 < y || self.x1 + x > width || self.y1 + y > height
     }
 
     /// Number of pixels.
@@ -474,6 +480,15 @@ mod tests {
         let mut mask = Mask::empty(6, 4);
         mask.fill_rect(&Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 }, true);
         assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
+    }
+
+    #[test]
+    fn masks_that_nearly_reach_the_border_may_be_truncated() {
+        let is_truncated = |x0: u32, x1: u32| BoundingBox { x0, y0: 40, x1, y1: 60 }.is_truncated(640, 360);
+        // Small and large masks, whole ones and some that end a few pixels before the border.
+        assert!(!is_truncated(3, 23) && !is_truncated(617, 637) && !is_truncated(7, 147));
+        assert!(is_truncated(0, 20) && is_truncated(2, 22) && is_truncated(620, 640) && is_truncated(618, 638));
+        assert!(is_truncated(6, 148), "a lorry whose mask ended 6 px before the border that cut off its cab");
     }
 
     #[test]

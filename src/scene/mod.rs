@@ -27,7 +27,7 @@ pub use ground::{Ground, GroundPlane, GroundSource, PlaneBasis};
 pub use ground_track::{
     ContactError, GroundPosition, GroundTrack, GroundTrackMethod, GroundTrackTrust, GroundTrackVerdict, NoContact,
 };
-pub use mask::{BoundingBox, Detection, LabelMap, MAX_MASK_PIXELS, Mask};
+pub use mask::{BoundingBox, Detection, LabelMap, MAX_MASK_PIXELS, Mask, TRUNCATION_PX};
 pub use mesh::TriangleMesh;
 pub use metric::{
     ClockZone, Dates, Dimensions, Estimate, MapOrigin, MapPlace, Metric, MetricAxes, MetricContradiction, MetricFrame,

@@ -58,7 +58,7 @@ use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
 pub use self::backward::BackwardTracker;
-pub use self::retrace::{CUT_PX, Correction};
+pub use self::retrace::Correction;
 pub use self::support::{MaskEvidence, Unsupported, support};
 pub use self::tracker::Tracker;
 use crate::checks::{Checked, some_of, within};

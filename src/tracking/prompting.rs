@@ -50,7 +50,7 @@ impl Tracker {
         let is_at_rest = |track: usize| {
             let Some(carried) = meeting.carried(track) else { return false };
             let (bounds, rect) = (carried.region.bounds(), carried.region.rect());
-            let is_inside = !bounds.touches_border(width, height);
+            let is_inside = !bounds.is_truncated(width, height);
             let agrees = |sight: &BoxGroup| {
                 let overlap = sight.rect.iou(&rect);
                 overlap <= 0.0 || overlap >= SAME_PLACE

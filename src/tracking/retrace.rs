@@ -32,9 +32,6 @@ pub struct Correction {
     pub mask: Mask,
 }
 
-/// Distance from the border of the picture at which it cuts a mask, pixels: networks leave the outermost ones out.
-pub const CUT_PX: u32 = 3;
-
 /// The way of an object since its last new mask.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Way {
@@ -71,13 +68,19 @@ impl Way {
     /// object, as far back as nothing hides a part of it.
     ///
     /// * `carried` – the object as it was carried into the frame of the new mask.
-    pub(super) fn retraced(&self, new: &Region, carried: &Propagated, size: (u32, u32)) -> Vec<(FrameId, Region)> {
+    pub(super) fn retraced(
+        &self,
+        new: &Region,
+        carried: &Propagated,
+        (width, height): (u32, u32),
+    ) -> Vec<(FrameId, Region)> {
         let mut found = Vec::new();
         if is_hidden(carried) {
             return found;
         }
         // What leaves is still cut where it is carried to.
-        let enters = self.first.as_ref().is_some_and(|first| is_cut(first, size)) && !is_cut(&carried.region, size);
+        let is_truncated = |region: &Region| region.bounds().is_truncated(width, height);
+        let enters = self.first.as_ref().is_some_and(is_truncated) && !is_truncated(&carried.region);
         let was_part = enters || !is_same_size(new.area() as f64 / carried.region.area() as f64);
         let agreement = |region: &Region, before: &Region| {
             if was_part { before.covered_by(region) } else { region.iou(before) }
@@ -99,12 +102,6 @@ impl Way {
 
 fn is_hidden(carried: &Propagated) -> bool {
     carried.cover.region.is_some() || carried.is_partly_hidden()
-}
-
-/// Returns true if the border of the picture cuts a mask.
-fn is_cut(region: &Region, (width, height): (u32, u32)) -> bool {
-    let bounds = region.bounds();
-    bounds.x0 < CUT_PX || bounds.y0 < CUT_PX || bounds.x1 + CUT_PX > width || bounds.y1 + CUT_PX > height
 }
 
 /// Masks reported for the latest frames.

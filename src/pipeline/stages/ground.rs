@@ -195,7 +195,7 @@ fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<Hove
     let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, Rect>> = BTreeMap::new();
     for frame in run.frames()? {
         for (id, mask) in track::masks_of(run, &tracked, frame)? {
-            let whole = mask.bounding_box().filter(|bounds| !bounds.touches_border(mask.width(), mask.height()));
+            let whole = mask.bounding_box().filter(|bounds| !bounds.is_truncated(mask.width(), mask.height()));
             let Some(bounds) = whole else { continue };
             vehicles.entry(id).or_default().insert(frame.id, bounds.into());
         }

@@ -20,7 +20,7 @@ impl Silhouette {
     /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
     pub fn of(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
-        let cut = bounds.touches_border(mask.width(), mask.height());
+        let cut = bounds.is_truncated(mask.width(), mask.height());
         if cut || mask.area_px2() < Self::MIN_AREA_PX2 {
             return None;
         }

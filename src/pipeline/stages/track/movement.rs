@@ -16,9 +16,10 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::stages::background;
 use crate::pipeline::stages::motion::{self, Points, World};
 use crate::scene::{
-    DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, Rect, TrackedObject,
+    DetectionCounts, Frame, FrameId, Mask, Movement, MovementFinding, ObjectId, Reconstruction, Rect, TRUNCATION_PX,
+    TrackedObject,
 };
-use crate::tracking::{CUT_PX, MaskEvidence};
+use crate::tracking::MaskEvidence;
 use crate::trajectory::motion_by_shaking;
 
 /// Finding where nothing was examined.
@@ -204,6 +205,6 @@ fn foot(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint) -> Op
     let view = world.views.get(point.frame as usize)?.as_ref()?;
     let (column, first) = (x.floor() as i64, y.floor() as i64);
     let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;
-    let is_cut = last + i64::from(CUT_PX) >= i64::from(mask.height());
+    let is_cut = last + i64::from(TRUNCATION_PX) >= i64::from(mask.height());
     world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point)
 }
