@@ -56,10 +56,10 @@ fn follow(
         let (frame, image) = item?;
         let detections = timed(&mut times.segmentation, || segmenter.segment(&image))?;
         let flow = previous
-            .map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image, &tracker.places())))
+            .map(|previous| timed(&mut times.flow, || estimator.flow(&previous, &image, &tracker.flow_regions())))
             .transpose()?;
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-        let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+        let look = FrameInput { found, by: BoxSource::Detector, segmenter: Some(&mut known) };
         let masks = timed(&mut times.tracking, || tracker.advance(&frame, &image, look, flow.as_ref()))?;
         if let Some(folder) = pictures {
             write_picture(folder, &frame, &image, &masks)?;

@@ -457,9 +457,9 @@ proptest! {
         prop_finite!(ground::camera_height(background, ground_points, &options, 1));
         prop_finite!(ground::local_planes(background, ground_points, ObjectId(1), object, &options, 1));
         let shape = ground::BodyShape { clearance: 0.17, max_deviation: 6.0 };
-        for labelled in [&[], ground_points.as_slice()] {
+        for labeled in [&[], ground_points.as_slice()] {
             let (dominant, mount) = (dominant.as_ref(), mount.as_ref());
-            let chain = GroundChain { background, labelled, dominant, mount, hovering: None, shape };
+            let chain = GroundChain { background, labeled, dominant, mount, hovering: None, shape };
             prop_finite!(chain.planes(ObjectId(1), object, &options, 1));
         }
         if let Ok(Some(found)) = bundle::center_deviations(background, 16, &BTreeMap::new()) {

@@ -44,9 +44,9 @@ fn follow(clip: &Path, limit: usize) -> Outcome {
     let mut previous: Option<RgbImage> = None;
     for (frame, image) in frames(clip).take(limit) {
         let detections = segmenter.segment(&image).unwrap();
-        let flow = previous.map(|p| estimator.flow(&p, &image, &tracker.places()).unwrap());
+        let flow = previous.map(|p| estimator.flow(&p, &image, &tracker.flow_regions()).unwrap());
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-        let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
+        let look = FrameInput { found, by: BoxSource::Detector, segmenter: Some(&mut known) };
         let masks = tracker.advance(&frame, &image, look, flow.as_ref()).unwrap();
         assert_disjoint(&masks);
         outcome.boxes.push(masks.iter().filter_map(|m| Some((m.object, m.mask.bounding_box()?))).collect());

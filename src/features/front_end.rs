@@ -1,4 +1,4 @@
-//! From the frames of a source to tracks, by one of two ways.
+//! Front end: from frames and masks to tracks, by point tracking or by feature matching.
 
 use std::collections::BTreeMap;
 
@@ -41,12 +41,12 @@ pub struct FrontEndOptions {
 }
 
 impl FrontEndOptions {
-    /// For a target in a video.
+    /// Options for a target in a video.
     pub fn of(target: Target) -> Self {
         Self { kind: FrontEndKind::Video, video: VideoOptions::of(target), sift: SiftOptions::of(target) }
     }
 
-    /// Rejects what cannot be worked with.
+    /// Rejects options that are out of range.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -64,7 +64,7 @@ impl FrontEndOptions {
     }
 }
 
-/// Takes frames and gives tracks.
+/// Front end that receives frames and returns tracks.
 pub enum FrontEnd {
     /// See [`FrontEndKind::Video`].
     Video(AnySizeFrontEnd),
@@ -73,8 +73,9 @@ pub enum FrontEnd {
 }
 
 impl FrontEnd {
-    /// Nothing seen yet. `camera` serves to verify matches; a guess will do. Options that [`FrontEndOptions::check`]
-    /// refuses may end in a panic.
+    /// Front end without frames; `camera` serves to verify matches, and a guess suffices.
+    ///
+    /// Options that [`FrontEndOptions::check`] rejects may cause a panic.
     pub fn new(options: &FrontEndOptions, camera: Camera) -> Self {
         match options.kind {
             FrontEndKind::Video => Self::Video(AnySizeFrontEnd::new(options.video.clone(), camera)),
@@ -82,7 +83,7 @@ impl FrontEnd {
         }
     }
 
-    /// As [`FrontEnd::new`], for photographs of several cameras. A video has one: the first of the list.
+    /// As [`FrontEnd::new`], for photographs of several cameras; a video has one: the first of the list.
     ///
     /// # Errors
     /// [`FeatureError::NoCamera`] if the list is empty.
@@ -94,15 +95,14 @@ impl FrontEnd {
         })
     }
 
-    /// Adds the next frame, looking only where the mask is set; the mask has the image's size.
+    /// Adds the next frame; features are detected only where the mask, of the image's size, is set.
     ///
-    /// # Errors
-    /// [`FeatureError::MaskSize`] if the mask has not the image's size, [`FeatureError::OpenCv`].
+    /// [`FeatureError::MaskSize`] if the mask does not have the image's size, [`FeatureError::OpenCv`].
     pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
         self.push_of(0, frame, picture, mask)
     }
 
-    /// As [`FrontEnd::push`], of one of several cameras, by its place in the list.
+    /// As [`FrontEnd::push`], of one of several cameras, by its index in the list.
     ///
     /// # Errors
     /// As [`FrontEnd::push`]; [`FeatureError::NoCamera`] if there is no such camera.
@@ -127,7 +127,7 @@ impl FrontEnd {
         }
     }
 
-    /// Takes positions of frames by name, metres in any Cartesian frame: near photographs are matched, too.
+    /// Sets positions of frames by name, meters in any Cartesian frame: near photographs are matched, too.
     pub fn know_positions(&mut self, positions: BTreeMap<String, Point3<f64>>) {
         match self {
             Self::Video(_) => {}

@@ -1,10 +1,10 @@
-//! Points followed through frames that are larger than those which the options are made for.
+//! Point tracking in frames that are larger than those for which the options are set.
 //!
-//! What moves by so many pixels in a frame of 1280 moves by three times as many in one of 3840. Each doubling of the
-//! longer side beyond 1280 pixels adds a level to the pyramid, so that the same motion is followed. Beyond 1920 pixels
-//! the patch of a point would show little more than noise and blur, and pictures cost the square of their side: larger
-//! frames are reduced to 1920, and positions are given in pixels of the frame. A target whose first mask fits in 1920
-//! pixels is small, and keeps its detail.
+//! A displacement in a frame of 1280 pixels is three times as large in one of 3840. Each doubling of the longer side
+//! beyond 1280 pixels adds a pyramid level, so that the same motion is tracked. Beyond 1920 pixels the patch of a point
+//! would contain little more than noise and blur, and the cost grows with the square of the side: larger frames are
+//! reduced to 1920, and positions are given in pixels of the frame. A target whose first mask fits in 1920 pixels is
+//! small, and keeps its detail.
 
 use super::tracks::TrackTable;
 use super::video_front_end::{VideoFrontEnd, VideoOptions};
@@ -13,32 +13,32 @@ use crate::features::FeatureError;
 use crate::image::{Picture, RgbImage, resize_rgb, scale_to_fit};
 use crate::scene::{Frame, Mask};
 
-/// Longer side from which on the pyramid grows.
+/// Longer side beyond which the pyramid gets more levels, pixels.
 const USUAL_SIDE_PX: u32 = 1280;
-/// Longer side of what points are followed in, at the most.
+/// Maximum longer side of the images in which points are tracked, pixels.
 const MAX_SIDE_PX: u32 = 1920;
 
 /// A [`VideoFrontEnd`] for frames of any size.
 pub struct AnySizeFrontEnd {
     options: VideoOptions,
     camera: Camera,
-    /// And whether frames are reduced for it.
-    at_work: Option<(Box<VideoFrontEnd>, bool)>,
+    /// Front end of the video, and true if frames are reduced for it.
+    front_end: Option<(Box<VideoFrontEnd>, bool)>,
 }
 
 impl AnySizeFrontEnd {
-    /// Nothing seen yet. `camera`, of whole frames, serves to verify points that are found again; a guess will do.
+    /// Front end without frames; `camera`, of whole frames, serves to verify re-detected points, and a guess suffices.
     pub fn new(options: VideoOptions, camera: Camera) -> Self {
-        Self { options, camera, at_work: None }
+        Self { options, camera, front_end: None }
     }
 
-    /// Adds the next frame, looking only where the mask, of the frame's size, is set.
+    /// Adds the next frame; points are tracked only where the mask, of the frame's size, is set.
     ///
     /// # Errors
     /// [`FeatureError::OpenCv`] if OpenCV fails.
     pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
         let (options, camera, image) = (&self.options, &self.camera, picture.rgb());
-        let (front_end, is_reduced) = self.at_work.get_or_insert_with(|| begin(options, camera, image, mask));
+        let (front_end, is_reduced) = self.front_end.get_or_insert_with(|| begin(options, camera, image, mask));
         if !*is_reduced {
             return front_end.push(frame, picture, mask);
         }
@@ -52,7 +52,7 @@ impl AnySizeFrontEnd {
 
     /// The tracks.
     pub fn finish(self) -> TrackTable {
-        self.at_work.map_or_else(TrackTable::default, |(front_end, _)| front_end.finish())
+        self.front_end.map_or_else(TrackTable::default, |(front_end, _)| front_end.finish())
     }
 }
 
@@ -63,8 +63,8 @@ fn begin(options: &VideoOptions, camera: &Camera, image: &RgbImage, mask: &Mask)
         let (width, height) = scale_to_fit(image.width(), image.height(), MAX_SIDE_PX);
         (side, camera) = (side.min(MAX_SIDE_PX), camera.resized(width, height));
     }
-    let more = (f64::from(side) / f64::from(USUAL_SIDE_PX)).log2().ceil().max(0.0) as i32;
-    let options = VideoOptions { pyramid_levels: options.pyramid_levels + more, ..options.clone() };
+    let num_more = (f64::from(side) / f64::from(USUAL_SIDE_PX)).log2().ceil().max(0.0) as i32;
+    let options = VideoOptions { pyramid_levels: options.pyramid_levels + num_more, ..options.clone() };
     (Box::new(VideoFrontEnd::new(options, camera)), is_reduced)
 }
 
@@ -73,7 +73,7 @@ fn scale(full: (u32, u32), reduced: (u32, u32)) -> [f64; 2] {
     [f64::from(full.0) / f64::from(reduced.0), f64::from(full.1) / f64::from(reduced.1)]
 }
 
-/// A mask at a smaller size: set where the pixel in the middle is.
+/// Mask at a reduced size: set where the pixel at the center is.
 fn reduced(mask: &Mask, width: u32, height: u32) -> Mask {
     let [across, down] = scale((mask.width(), mask.height()), (width, height));
     Mask::from_fn(width, height, |x, y| mask.contains((f64::from(x) + 0.5) * across, (f64::from(y) + 0.5) * down))
@@ -87,7 +87,7 @@ mod tests {
     use rand::Rng as _;
 
     #[test]
-    fn positions_are_those_of_the_whole_frame() {
+    fn positions_are_in_pixels_of_the_whole_frame() {
         const STEP_PX: u32 = 24;
         let mut rng = seeded_rng(1, 0);
         let coarse = RgbImage::from_fn(200, 10, |_, _| ::image::Rgb([rng.random(); 3]));

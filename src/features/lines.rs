@@ -6,7 +6,7 @@ use nalgebra::Point2;
 use crate::image::{ImageError, gray_from_rgb, line_segments};
 use crate::scene::ImageId;
 
-/// Length of a segment at least, as a share of the longer side of the image: 24 px of 960.
+/// Minimum length of a segment, as a share of the longer side of the image: 24 px of 960.
 const MIN_LENGTH: f64 = 0.025;
 
 /// Straight lines of an image.
@@ -19,7 +19,7 @@ pub struct ImageLines {
 }
 
 impl ImageLines {
-    /// Finds the lines of a picture.
+    /// Detects the line segments of an image.
     ///
     /// # Errors
     /// Those of [`line_segments`].

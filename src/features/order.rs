@@ -6,12 +6,13 @@ use opencv::core::{Mat, Point2f, Vector};
 use crate::features::FeatureError;
 use crate::image::{GrayImage, LucasKanade, Pyramid, Returned, borrowed_gray, resize_gray, scale_to_fit};
 
-/// Share of the corners of one picture that pyramidal Lucas-Kanade finds in the next, no farther away than a twentieth
-/// of the longer side, and back again within a pixel at 480 pixels; 0 where there are no corners.
+/// Share of the corners of one image that pyramidal Lucas-Kanade tracks to the next; 0 where there are no corners.
 ///
-/// Points of a video move by less from frame to frame: of rendered drives and drone clips at five to ten frames per
-/// second the median pair has 0.68 to 0.97, of photographs (Strecha's two scenes, the flight over Brighton) 0 to 0.48.
-/// At a fortieth of the side the drives would have 0.16 to 0.79, at a thirteenth one set of photographs 0.59.
+/// A tracked corner moves by at most a twentieth of the longer side, and returns within a pixel at 480 pixels.
+///
+/// Points of a video move by less from frame to frame: the median pair of rendered drives and drone clips at five to
+/// ten frames per second has 0.68 to 0.97, that of photographs (Strecha's two scenes, the flight over Brighton) 0 to
+/// 0.48. At a fortieth of the side the drives would have 0.16 to 0.79, at a thirteenth one set of photographs 0.59.
 ///
 /// # Errors
 /// [`FeatureError::OpenCv`] if OpenCV fails.
@@ -27,7 +28,7 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, Feat
         return Ok(0.0);
     }
     let mut corners = Vector::<Point2f>::new();
-    // Three hundred corners show a share to a few percent, and cost little.
+    // Three hundred corners determine a share to a few percent, and cost little.
     opencv::imgproc::good_features_to_track(
         &borrowed_gray(&first)?,
         &mut corners,
@@ -42,7 +43,7 @@ pub fn followed_share(first: &GrayImage, second: &GrayImage) -> Result<f64, Feat
     if corners.is_empty() {
         return Ok(0.0);
     }
-    // OpenCV counts from the centre of the first pixel.
+    // The origin of OpenCV is the center of the first pixel.
     let corners: Vec<Point2<f32>> = corners.iter().map(|corner| Point2::new(corner.x + 0.5, corner.y + 0.5)).collect();
     let tracker =
         LucasKanade { window_radius_px: 7, num_smaller: 3, max_steps: 20, converged_px: 0.03, min_eigenvalue: 1e-3 };
@@ -71,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_shift_is_followed_and_another_picture_is_not() {
+    fn a_small_shift_is_tracked_and_another_image_is_not() {
         let whole = texture(1);
         let crop = |x: u32, y: u32| ::image::imageops::crop_imm(&whole, x, y, 560, 420).to_image();
         let share = followed_share(&crop(10, 10), &crop(22, 16)).unwrap();

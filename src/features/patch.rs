@@ -1,38 +1,40 @@
 //! Alignment of a small patch with a later image, under an affine warp and a change of brightness.
 //!
 //! Inverse compositional Lucas-Kanade (S. Baker, I. Matthews, *Lucas-Kanade 20 Years On*, IJCV 2004, section 3.2): the
-//! patch keeps its gradients and normal equations from the frame in which it was born, so that a track always compares
-//! with its first sight and does not drift from frame to frame. Gain and bias are taken out by giving the warped patch
-//! the template's mean and standard deviation in every iteration.
+//! patch keeps its gradients and normal equations from the frame of its first observation, so that a track is always
+//! compared with its first appearance and does not drift from frame to frame. Gain and bias are removed by giving the
+//! warped patch the template's mean and standard deviation in every iteration.
 
 use nalgebra::{Matrix2, Matrix6, Point2, Vector2, Vector6};
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::image::GrayImage;
 
-/// A warp from patch coordinates (offsets from the patch's centre) to image positions: `pixel = shape · offset +
+/// A warp from patch coordinates (offsets from the patch's center) to image positions: `pixel = shape · offset +
 /// center`.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Warp {
     /// Affine part.
     pub shape: Matrix2<f32>,
-    /// Image position of the patch's centre, pixels, first pixel centre at (0.5, 0.5).
+    /// Image position of the patch's center, pixels, first pixel center at (0.5, 0.5).
     pub center: Point2<f32>,
 }
 
-/// A square template with what alignment needs of it. Rows are filled up with zeros to a whole number of `LANES`.
+/// Square template with its precomputed gradients and normal equations.
+///
+/// Rows are padded with zeros to a whole number of `LANES`.
 #[derive(Clone, Debug)]
 pub struct Patch {
     radius: i32,
-    /// Mean of the grey values.
+    /// Mean of the gray values.
     mean: f32,
-    /// Grey values of zero mean and unit variance.
+    /// Gray values of zero mean and unit variance.
     normalized: Vec<f32>,
     /// Gradient of `normalized`, across and down.
     gradient: [Vec<f32>; 2],
     /// Sum over the pixels of the gradient times the warp's Jacobian, `J`: a00, a01, a10, a11, tx, ty.
     sum_jacobian: Vector6<f32>,
-    /// The same of `J` times the normalised value.
+    /// Sum over the pixels of `J` times the normalized value.
     sum_template: Vector6<f32>,
     inverse_hessian: Matrix6<f32>,
 }
@@ -40,26 +42,26 @@ pub struct Patch {
 /// Outcome of an alignment.
 #[derive(Clone, Copy, Debug)]
 pub struct Aligned {
-    /// Where the patch is now.
+    /// Aligned warp.
     pub warp: Warp,
-    /// Normalised cross-correlation with the template, −1 to 1.
+    /// Normalized cross-correlation with the template, −1 to 1.
     pub correlation: f32,
     /// See [`Patch::covariance`].
     pub covariance: Matrix2<f32>,
 }
 
 impl Patch {
-    /// Cuts a patch of `2 radius + 1` pixels a side round an image position.
+    /// Cuts a patch of `2 radius + 1` pixels a side around an image position.
     ///
-    /// `None` when it reaches over the image's border or has too little structure to fix a position.
+    /// `None` if it crosses the image's border or has too little structure to determine a position.
     pub fn cut(image: &GrayImage, center: Point2<f32>, radius: i32) -> Option<Self> {
         // One more on each side, for central differences.
         let wide = square(image, center, radius + 1)?;
         let side = (2 * radius + 1) as usize;
         let at = |x: usize, y: usize| wide[y * (side + 2) + x];
         let values: Vec<f32> = (0..side * side).map(|i| at(i % side + 1, i / side + 1)).collect();
-        let (mean, deviation) = mean_and_deviation(&values);
-        if deviation < MIN_STD {
+        let (mean, std) = mean_and_std(&values);
+        if std < MIN_STD {
             return None;
         }
         let padded = padded(side);
@@ -69,17 +71,17 @@ impl Patch {
         for (i, value) in values.iter().enumerate() {
             let (column, row) = (i % side, i / side);
             let (x, y) = (column + 1, row + 1);
-            let gx = (at(x + 1, y) - at(x - 1, y)) / (2.0 * deviation);
-            let gy = (at(x, y + 1) - at(x, y - 1)) / (2.0 * deviation);
+            let gx = (at(x + 1, y) - at(x - 1, y)) / (2.0 * std);
+            let gy = (at(x, y + 1) - at(x, y - 1)) / (2.0 * std);
             let (dx, dy) = ((column as i32 - radius) as f32, (row as i32 - radius) as f32);
-            let (template, place) = ((value - mean) / deviation, row * padded + column);
+            let (template, place) = ((value - mean) / std, row * padded + column);
             (normalized[place], gradient_x[place], gradient_y[place]) = (template, gx, gy);
             let jacobian = Vector6::new(gx * dx, gx * dy, gy * dx, gy * dy, gx, gy);
             sum_jacobian += jacobian;
             sum_template += jacobian * template;
             hessian += jacobian * jacobian.transpose();
         }
-        // The shape is held a little: on weak texture it would take up noise and carry the centre along.
+        // A weak prior on the shape: on weak texture it would absorb noise and displace the center.
         let stiffness = SHAPE_STIFFNESS * (radius * radius) as f32 * (hessian[(4, 4)] + hessian[(5, 5)]);
         for k in 0..4 {
             hessian[(k, k)] += stiffness;
@@ -95,17 +97,18 @@ impl Patch {
         })
     }
 
-    /// Aligns the patch with an image from a near start. `None` when it leaves the image, runs away from the start, or
-    /// finds nothing with structure there.
+    /// Aligns the patch with an image from a near start.
+    ///
+    /// `None` if it leaves the image, diverges from the start, or finds no structure there.
     pub fn align(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
         Arch::new().dispatch(Alignment { patch: self, image, start })
     }
 
-    /// In as little of the image as the patch and its way need.
+    /// Aligns the patch in the smallest search window that holds it and its possible displacement.
     #[inline(always)]
     fn align_here(&self, image: &GrayImage, start: &Warp) -> Option<Aligned> {
         let [x0, y0, x1, y1] = extent(start, self.radius);
-        // As far as it may go, and a few pixels more for the shape.
+        // Maximum displacement, and a few pixels more for the shape.
         let spread = (x1 - x0).max(y1 - y0) + self.radius as f32 + 4.0;
         if spread <= SMALL as f32 {
             self.align_within::<SMALL>(image, start)
@@ -121,21 +124,21 @@ impl Patch {
         // A bound: a patch that has not converged by then is lost.
         const MAX_ITERATIONS: usize = 15;
         let mut warp = *start;
-        let mut around = Surroundings::<SIDE>::new(image, start, self.radius)?;
+        let mut window = SearchWindow::<SIDE>::new(image, start, self.radius)?;
         let mut correlation = 0.0;
         for iteration in 0..=MAX_ITERATIONS {
-            let seen = match around.sampler(&warp, self.radius) {
+            let compared = match window.sampler(&warp, self.radius) {
                 Some(sampler) => self.compare(&sampler)?,
                 None => {
-                    around = Surroundings::new(image, &warp, self.radius)?;
-                    self.compare(&around.sampler(&warp, self.radius)?)?
+                    window = SearchWindow::new(image, &warp, self.radius)?;
+                    self.compare(&window.sampler(&warp, self.radius)?)?
                 }
             };
-            correlation = seen.correlation;
+            correlation = compared.correlation;
             if iteration == MAX_ITERATIONS {
                 break;
             }
-            let gradient = (seen.jacobian - self.sum_jacobian * seen.mean) / seen.deviation - self.sum_template;
+            let gradient = (compared.jacobian - self.sum_jacobian * compared.mean) / compared.std - self.sum_template;
             let step = self.inverse_hessian * gradient;
             warp = composed_with_inverse(&warp, &step)?;
             if (warp.center - start.center).norm() > self.radius as f32 * 0.5 {
@@ -146,21 +149,24 @@ impl Patch {
                 break;
             }
         }
-        // Of two patches of zero mean and unit variance.
+        // Mean squared difference of two patches of zero mean and unit variance.
         let difference = (2.0 - 2.0 * correlation).max(0.0);
         Some(Aligned { warp, correlation, covariance: self.covariance(&warp.shape, difference) })
     }
 
-    /// Covariance of the position that an alignment finds, pixels², if the mean squared difference from the template,
-    /// whose variance is 1, is noise that is independent from pixel to pixel; it is not, which makes all covariances
+    /// Covariance of an aligned position, pixels², from the mean squared difference to the template, whose variance is
+    /// 1.
+    ///
+    /// The difference is taken as noise that is independent from pixel to pixel. It is not, which makes all covariances
     /// too small by about the same factor.
     pub fn covariance(&self, shape: &Matrix2<f32>, difference: f32) -> Matrix2<f32> {
         let position = self.inverse_hessian.fixed_view::<2, 2>(4, 4) * difference;
         shape * position * shape.transpose()
     }
 
-    /// Compares an image with the template, in one pass over the patch; `None` where it has no structure. Gray values
-    /// count from the template's mean, which keeps the sums small.
+    /// Compares an image with the template, in one pass over the patch; `None` where it has no structure.
+    ///
+    /// Gray values are relative to the template's mean, which keeps the sums small.
     #[inline(always)]
     fn compare<const SIDE: usize>(&self, sampler: &Sampler<'_, SIDE>) -> Option<WarpedPatch> {
         let side = (2 * self.radius + 1) as usize;
@@ -194,19 +200,19 @@ impl Patch {
         }
         let total = |lanes: &[f32; LANES]| lanes.iter().sum::<f32>();
         let mean = total(&sum) / num_pixels;
-        let deviation = (total(&sum_sq) / num_pixels - mean * mean).max(0.0).sqrt();
+        let std = (total(&sum_sq) / num_pixels - mean * mean).max(0.0).sqrt();
         let [[x, y], [x_column, y_column], [x_row, y_row]] =
             [alone, by_column, by_row].map(|axes| axes.map(|lanes| total(&lanes)));
-        (deviation >= MIN_STD).then(|| WarpedPatch {
+        (std >= MIN_STD).then(|| WarpedPatch {
             mean,
-            deviation,
+            std,
             jacobian: Vector6::new(x_column, x_row, y_column, y_row, x, y),
-            correlation: total(&products) / (num_pixels * deviation),
+            correlation: total(&products) / (num_pixels * std),
         })
     }
 }
 
-/// An alignment, for whatever vector instructions the processor has.
+/// Alignment with the vector instructions of the processor.
 struct Alignment<'a> {
     patch: &'a Patch,
     image: &'a GrayImage,
@@ -222,15 +228,15 @@ impl WithSimd for Alignment<'_> {
     }
 }
 
-/// Image under a warp.
+/// Statistics of an image under a warp.
 struct WarpedPatch {
-    /// Of the grey values, less the template's.
+    /// Mean of the gray values minus that of the template.
     mean: f32,
-    deviation: f32,
-    /// Sum over the pixels of the template's gradient times the warp's Jacobian times the grey value less the
+    std: f32,
+    /// Sum over the pixels of the template's gradient times the warp's Jacobian times the gray value minus the
     /// template's mean.
     jacobian: Vector6<f32>,
-    /// Normalised cross-correlation with the template.
+    /// Normalized cross-correlation with the template.
     correlation: f32,
 }
 
@@ -239,19 +245,21 @@ const LANES: usize = 8;
 
 /// Side of the smallest search window, pixels.
 const SMALL: usize = 32;
-/// Side of the search window of patches that the smallest one does not hold, pixels.
+/// Side of the medium search window, pixels.
 const LARGE: usize = 64;
-/// Side of the largest search window, pixels. A patch that is spread over more is lost.
+/// Side of the largest search window, pixels: a patch that needs more is lost.
 const LARGEST: usize = 512;
 
-/// Length of a row with what fills it up.
+/// Length of a padded row.
 fn padded(side: usize) -> usize {
     side.div_ceil(LANES) * LANES
 }
 
-/// The part of an image in which a patch is looked for, as numbers: to convert pixels once for every sample takes
-/// longer than all else. The compiler knows the length of the rows and needs no look at bounds.
-struct Surroundings<const SIDE: usize> {
+/// Part of an image in which a patch is searched, as floating-point numbers.
+///
+/// Converting pixels for every sample takes longer than all else. The compiler knows the length of the rows and omits
+/// bounds checks.
+struct SearchWindow<const SIDE: usize> {
     values: Vec<[f32; SIDE]>,
     /// Array indices of the first value in the image.
     corner: [usize; 2],
@@ -259,8 +267,8 @@ struct Surroundings<const SIDE: usize> {
     size: [usize; 2],
 }
 
-impl<const SIDE: usize> Surroundings<SIDE> {
-    /// `None` if the patch does not lie inside the image under the warp, or is spread over too many pixels.
+impl<const SIDE: usize> SearchWindow<SIDE> {
+    /// `None` if the patch is not inside the image under the warp, or covers too many pixels.
     #[inline(always)]
     fn new(image: &GrayImage, warp: &Warp, radius: i32) -> Option<Self> {
         let sides = [image.width() as usize, image.height() as usize];
@@ -276,12 +284,12 @@ impl<const SIDE: usize> Surroundings<SIDE> {
         let rows = image.as_raw().chunks_exact(sides[0]).skip(corner[1]);
         for (values, row) in values.iter_mut().zip(rows) {
             let row = &row[corner[0]..corner[0] + size[0]];
-            values.iter_mut().zip(row).for_each(|(value, grey)| *value = f32::from(*grey));
+            values.iter_mut().zip(row).for_each(|(value, gray)| *value = f32::from(*gray));
         }
         Some(Self { values, corner, size })
     }
 
-    /// The patch under a warp; `None` if it does not lie inside.
+    /// Sampler of the patch under a warp; `None` if it is not inside.
     #[inline(always)]
     fn sampler(&self, warp: &Warp, radius: i32) -> Option<Sampler<'_, SIDE>> {
         let [x0, y0, x1, y1] = extent(warp, radius);
@@ -292,7 +300,7 @@ impl<const SIDE: usize> Surroundings<SIDE> {
     }
 }
 
-/// The box round a warped square of `2 radius + 1` pixels a side, in array indices: the first pixel centre is at 0.5.
+/// Bounding box of a warped square of `2 radius + 1` pixels a side, in array indices: the first pixel center is at 0.5.
 #[inline(always)]
 fn extent(warp: &Warp, radius: i32) -> [f32; 4] {
     let reach = |row: usize| radius as f32 * (warp.shape[(row, 0)].abs() + warp.shape[(row, 1)].abs());
@@ -300,23 +308,23 @@ fn extent(warp: &Warp, radius: i32) -> [f32; 4] {
     [x - across, y - down, x + across, y + down]
 }
 
-/// An image under a warp that it holds whole.
+/// Search window under a warp that is inside it.
 struct Sampler<'a, const SIDE: usize> {
     values: &'a [[f32; SIDE]; SIDE],
-    /// The patch's centre, in array indices.
+    /// The patch's center, in array indices.
     origin: Point2<f32>,
     shape: Matrix2<f32>,
 }
 
 impl<const SIDE: usize> Sampler<'_, SIDE> {
-    /// Bilinear samples along a row of the patch, from a column on. What lies beyond the patch may be anything.
+    /// Bilinear samples along a row of the patch, from a column on; those beyond the patch are arbitrary.
     #[inline(always)]
     fn sample(&self, row: f32, column: f32) -> [f32; LANES] {
         let start = self.origin + self.shape * Vector2::new(column, row);
         // Fixed point: conversions of floating-point numbers to indices take longer than all else.
         let fixed = |value: f32| (value * ONE) as i32;
         let (first, step) = ([start.x, start.y].map(fixed), [self.shape[(0, 0)], self.shape[(1, 0)]].map(fixed));
-        // The patch's corners lie inside; rounding, and what fills up a row, may still step over the border.
+        // The corners of the patch are inside; rounding, and row padding, may still cross the border.
         let last = (SIDE * SIDE - SIDE - 2) as u32;
         let (mut index, mut part) = ([0u32; LANES], [[0.0f32; LANES]; 2]);
         for k in 0..LANES {
@@ -362,7 +370,7 @@ fn composed_with_inverse(warp: &Warp, step: &Vector6<f32>) -> Option<Warp> {
     (sane && center.coords.iter().all(|v| v.is_finite())).then_some(Warp { shape, center })
 }
 
-fn mean_and_deviation(values: &[f32]) -> (f32, f32) {
+fn mean_and_std(values: &[f32]) -> (f32, f32) {
     let n = values.len() as f32;
     let mean = values.iter().sum::<f32>() / n;
     (mean, (values.iter().map(|v| (v - mean) * (v - mean)).sum::<f32>() / n).sqrt())
@@ -405,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn affine_motion_and_brightness_are_followed_to_a_twentieth_of_a_pixel() {
+    fn affine_motion_and_brightness_are_estimated_to_a_twentieth_of_a_pixel() {
         let first = picture(|x, y| (x, y), 0.7, 120.0);
         let shape = Matrix2::new(1.08, 0.05, -0.04, 0.94);
         let (c, moved) = (Point2::new(60.5, 50.5), Vector2::new(2.3, -1.6));
@@ -426,7 +434,7 @@ mod tests {
     }
 
     #[test]
-    fn flat_or_cut_patches_are_refused() {
+    fn flat_or_truncated_patches_are_rejected() {
         let flat = GrayImage::from_pixel(60, 60, ::image::Luma([90]));
         assert!(Patch::cut(&flat, Point2::new(30.0, 30.0), 7).is_none());
         let image = picture(|x, y| (x, y), 0.7, 120.0);

@@ -1,9 +1,9 @@
-//! Positions of the features of a track, made to agree by comparing pictures.
+//! Refinement of the feature positions of a track by patch alignment.
 //!
-//! A keypoint of SIFT lies where a difference of Gaussians is greatest, which shifts when the surface is seen from
-//! another side. So one view of every track is taken for its template, and the patch round the feature is aligned with
-//! the other views ([`super::patch`]), starting from the positions, scales and directions of the keypoints. Where that
-//! does not converge nearby with a high correlation, the keypoint's own position stays.
+//! A SIFT keypoint is an extremum of a difference of Gaussians, which shifts when the surface is viewed from another
+//! direction. So one view of every track is its template, and the patch around the feature is aligned with the other
+//! views ([`super::patch`]), starting from the positions, scales and directions of the keypoints. Where that does not
+//! converge nearby with a high correlation, the keypoint's own position stays.
 
 use nalgebra::{Matrix2, Point2};
 use rayon::prelude::*;
@@ -33,11 +33,11 @@ const SCALE_OF_FIRST_LEVEL: f32 = 2.3;
 /// Maximum number of levels of a pyramid, the image itself included.
 const NUM_LEVELS: usize = 4;
 
-/// A picture at full, half, quarter size and so on.
+/// Image at full, half, quarter size and so on.
 pub struct Pyramid(Vec<GrayImage>);
 
 impl Pyramid {
-    /// Halves a picture as often as features may need it.
+    /// Builds as many levels as features may need.
     ///
     /// # Errors
     /// [`FeatureError::Image`] if OpenCV cannot resize it.
@@ -53,8 +53,7 @@ impl Pyramid {
         Ok(Self(levels))
     }
 
-    /// The level at which a feature of some scale is as large as the templates want it, and its size in pixels of the
-    /// full picture.
+    /// Level at which a feature of some scale has the size of the templates.
     fn level(&self, scale: f32) -> usize {
         let level = (scale / SCALE_OF_FIRST_LEVEL).log2().round().max(0.0) as usize;
         level.min(self.0.len() - 1)
@@ -71,13 +70,13 @@ impl Pyramid {
         Point2::new(pixel.x as f32 / sx, pixel.y as f32 / sy)
     }
 
-    fn in_picture(&self, pixel: Point2<f32>, level: usize) -> Point2<f64> {
+    fn in_image(&self, pixel: Point2<f32>, level: usize) -> Point2<f64> {
         let (sx, sy) = self.step(level);
         Point2::new(f64::from(pixel.x) * f64::from(sx), f64::from(pixel.y) * f64::from(sy))
     }
 }
 
-/// Moves the features of all tracks; returns how many were moved.
+/// Refines the features of all tracks; returns the number of refined positions.
 ///
 /// * `shapes` – by view and feature, as in the table.
 /// * `pyramids` – by view.
@@ -109,7 +108,7 @@ fn refined(
             let pyramid = &pyramids[feature.view as usize];
             let of_other = shape(&feature);
             let ratio = of_other.scale / of_template.scale;
-            // The level at which a pixel shows as much as one of the template.
+            // Level whose resolution is nearest to that of the template.
             let other = (level as f32 + ratio.log2()).round().clamp(0.0, pyramid.0.len() as f32 - 1.0) as usize;
             let size = ratio * (level as f32 - other as f32).exp2();
             let (sin, cos) = (of_other.angle - of_template.angle).sin_cos();
@@ -118,7 +117,7 @@ fn refined(
                 center: pyramid.at_level(table.pixel(feature), other),
             };
             let found = patch.align(&pyramid.0[other], &start)?;
-            let pixel = pyramid.in_picture(found.warp.center, other);
+            let pixel = pyramid.in_image(found.warp.center, other);
             let shift = (pixel - table.pixel(feature)).norm() as f32;
             let good = found.correlation >= MIN_CORRELATION && shift <= MAX_SHIFT_SCALES * of_other.scale;
             good.then_some((feature, pixel))
@@ -126,7 +125,7 @@ fn refined(
         .collect()
 }
 
-/// The feature of middle size: the others are neither much finer nor much coarser.
+/// Feature of the median scale: the others are neither much finer nor much coarser.
 fn template_of(track: &[Feature], shape: impl Fn(&Feature) -> Shape) -> Option<Feature> {
     let mut by_scale: Vec<Feature> = track.to_vec();
     by_scale.sort_by(|a, b| shape(a).scale.total_cmp(&shape(b).scale).then(a.cmp(b)));
@@ -150,11 +149,11 @@ mod tests {
     }
 
     #[test]
-    fn features_that_are_some_tenths_off_come_back() {
+    fn errors_of_some_tenths_of_a_pixel_are_corrected() {
         let maps = [Matrix2::identity(), Matrix2::new(1.05, 0.08, -0.06, 0.97)];
         let pyramids: Vec<Pyramid> = maps.iter().map(|map| Pyramid::new(picture(map, 0.0)).unwrap()).collect();
         let truth: Vec<Point2<f64>> = (0..20).map(|k| Point2::new(50.0 + 5.0 * f64::from(k), 80.0)).collect();
-        // What the second picture shows at q, the first shows at map · q.
+        // The second image at q corresponds to the first at map · q.
         let inverse = maps[1].try_inverse().unwrap().cast::<f64>();
         let view = |name: &str, pixels: Vec<Point2<f64>>| View {
             image: ImageId(1),
@@ -176,7 +175,7 @@ mod tests {
         assert!(moved >= 18, "{moved}");
         let errors: Vec<f64> =
             truth.iter().zip(&table.views[1].pixels).map(|(p, q)| (inverse * p - q).norm()).collect();
-        // They were 0.64 px off; what is left is that grey values are whole numbers.
+        // The errors were 0.64 px; the rest comes from the rounding of gray values.
         let good = errors.iter().filter(|e| **e < 0.1).count();
         assert!(good >= 18 && errors.iter().all(|e| *e < 0.2), "{errors:?}");
     }

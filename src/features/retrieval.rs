@@ -14,16 +14,16 @@ use rayon::prelude::*;
 use super::rootsift::{DESCRIPTOR_LEN, DESCRIPTOR_NORM, Features};
 use crate::math::seeded_rng;
 
-/// Visual words: the smaller of the usual vocabularies of VLAD (16 to 256), 32 KiB per image.
+/// Number of visual words: at the lower end of the usual vocabularies of VLAD (16 to 256), 32 KiB per image.
 const NUM_WORDS: usize = 64;
 
-/// Features of a view that take part, the strongest: a bound of the cost, a fifth of what a photograph has.
+/// Maximum number of features per view, the strongest: bounds the cost; a fifth of those of a photograph.
 const NUM_STRONGEST: usize = 1000;
 
-/// Descriptors from which the words are made: 500 each.
+/// Number of descriptors for k-means: 500 per word.
 const NUM_SAMPLED: usize = 500 * NUM_WORDS;
 
-/// Rounds of k-means; later ones move few descriptors to another word.
+/// Number of iterations of k-means; later ones assign few descriptors to another word.
 const NUM_ROUNDS: usize = 10;
 
 /// Stream of random numbers of the vocabulary; pairs of views have those from 0 on.

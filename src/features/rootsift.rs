@@ -1,8 +1,8 @@
 //! SIFT features inside a mask, as RootSIFT descriptors.
 //!
-//! [`super::sift`] finds and describes keypoints; R. Arandjelović, A. Zisserman, *Three Things Everyone Should Know to
-//! Improve Object Retrieval*, CVPR 2012 for the square root. Pixels outside the mask take no part as keypoints; the
-//! picture itself is never painted over, which would make edges.
+//! [`super::sift`] detects and describes keypoints; R. Arandjelović, A. Zisserman, *Three Things Everyone Should Know
+//! to Improve Object Retrieval*, CVPR 2012 for the square root. Keypoints outside the mask are rejected; the image
+//! itself is not masked, which would create edges.
 
 use nalgebra::Point2;
 use schemars::JsonSchema;
@@ -25,7 +25,7 @@ pub const DESCRIPTOR_NORM: f32 = 175.0;
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct FeatureOptions {
-    /// Features kept per image at the most, the strongest first; no more than 60,000.
+    /// Maximum number of features per image, the strongest first; no more than 60,000.
     #[schemars(extend("unit" = "features"))]
     pub max_features: usize,
     /// Lowe's contrast threshold over the three layers of an octave; lower finds more on plain surfaces.
@@ -36,33 +36,33 @@ pub struct FeatureOptions {
     /// Masks whose box is shorter than this on its longer side are enlarged before detection, up to four times: small
     /// objects have too few features at their own size.
     pub enlarge_below_px: u32,
-    /// Distance that a feature keeps from the mask's border: what lies on an outline belongs to no surface.
+    /// Minimum distance of a feature from the mask's border: features on an outline belong to no surface.
     pub border_px: u32,
 }
 
-/// Room round a mask for descriptors that reach over it, pixels.
+/// Margin around a mask for descriptors that extend beyond it, pixels.
 pub(super) const MARGIN_PX: u32 = 24;
-/// Indices of features are sixteen bits wide in matching.
-const MOST: usize = 60_000;
+/// Maximum number of features: their indices have sixteen bits in matching.
+const MAX_FEATURES: usize = 60_000;
 
 impl FeatureOptions {
-    /// Rejects what cannot be worked with. The limit of enlargement keeps the enlarged picture within memory.
+    /// Rejects options that are out of range; the limit of enlargement bounds the memory of the enlarged image.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
     pub fn check(&self) -> Checked {
-        within("max_features", self.max_features, 1..=MOST)?;
+        within("max_features", self.max_features, 1..=MAX_FEATURES)?;
         within("contrast_threshold", self.contrast_threshold, 1e-6..=1.0)?;
         within("enlarge_below_px", self.enlarge_below_px, 0..=4000)?;
         within("border_px", self.border_px, 0..=1000)
     }
 
-    /// For whole frames.
+    /// Options for whole frames.
     pub fn background() -> Self {
         Self { max_features: 4000, contrast_threshold: 0.03, doubled: false, enlarge_below_px: 0, border_px: 0 }
     }
 
-    /// For one object: more features from less surface.
+    /// Options for one object: more features from less surface.
     pub fn object() -> Self {
         Self { max_features: 3000, contrast_threshold: 0.015, doubled: true, enlarge_below_px: 400, border_px: 1 }
     }
@@ -71,9 +71,9 @@ impl FeatureOptions {
 /// Features of one image, the strongest first.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Features {
-    /// Positions, pixels, first pixel centre at (0.5, 0.5).
+    /// Positions, pixels, first pixel center at (0.5, 0.5).
     pub pixels: Vec<Point2<f64>>,
-    /// Colours there; none where the image has none.
+    /// Colors at the positions; empty if the image is gray.
     pub rgb: Vec<[u8; 3]>,
     /// Their sizes and directions.
     pub shapes: Vec<Shape>,
@@ -93,18 +93,18 @@ impl Features {
     }
 }
 
-/// Finds features at the set pixels of a mask, which has the image's size. An empty mask gives no features.
+/// Detects features at the set pixels of a mask, which has the image's size; none for an empty mask.
 ///
 /// # Errors
 /// [`FeatureError::OpenCv`] if OpenCV fails, for example on an image side beyond its limits.
 pub fn extract(image: &RgbImage, mask: &Mask, options: &FeatureOptions) -> Result<Features, FeatureError> {
     let mut features = extract_gray(&gray_from_rgb(image)?, mask, options)?;
-    let colour = |p: &Point2<f64>| image.get_pixel_checked(p.x.max(0.0) as u32, p.y.max(0.0) as u32);
-    features.rgb = features.pixels.iter().map(|pixel| colour(pixel).map_or([0; 3], |c| c.0)).collect();
+    let color = |p: &Point2<f64>| image.get_pixel_checked(p.x.max(0.0) as u32, p.y.max(0.0) as u32);
+    features.rgb = features.pixels.iter().map(|pixel| color(pixel).map_or([0; 3], |c| c.0)).collect();
     Ok(features)
 }
 
-/// The same in a grey image; the features have no colours.
+/// Detects features at the set pixels of a mask in a gray image; they have no colors.
 ///
 /// # Errors
 /// As [`extract`].
@@ -119,7 +119,7 @@ pub fn extract_gray(image: &GrayImage, mask: &Mask, options: &FeatureOptions) ->
     let values = crop.as_raw().iter().map(|&v| f32::from(v) / 255.0).collect();
     let picture = Plane { width: width as usize, height: height as usize, values };
     let wanted = sift::Options {
-        max_keypoints: options.max_features.min(MOST),
+        max_keypoints: options.max_features.min(MAX_FEATURES),
         min_contrast: (options.contrast_threshold / 3.0) as f32,
         doubled: options.doubled,
     };

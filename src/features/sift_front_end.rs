@@ -1,5 +1,4 @@
-//! From frames to tracks by SIFT: features in every frame, matches between frames near in time or similar to one
-//! another, verified by geometry.
+//! SIFT front end: features in every frame, matches between frames near in time or similar, verified by geometry.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -45,15 +44,15 @@ pub enum Pairing {
 }
 
 impl Pairing {
-    /// For photographs in no order.
+    /// Pairing of unordered photographs.
     pub const UNORDERED: Self = Self::Retrieval { exhaustive_up_to: EXHAUSTIVE_UP_TO, neighbors: NEIGHBORS };
 }
 
-/// Most similar views with which a view is matched: 0.98 of the pairs with common points on four clips, 15 have 0.89
-/// (docs/decisions/033-image-retrieval.md).
+/// Number of most similar views with which a view is matched: 0.98 of the pairs with common points on four clips, 15
+/// have 0.89 (docs/decisions/033-image-retrieval.md).
 const NEIGHBORS: usize = 30;
 
-/// Up to here all pairs are about four times as many as those of retrieval, and none is missed.
+/// Maximum number of views of which all pairs are matched: about four times those of retrieval, and none is missed.
 const EXHAUSTIVE_UP_TO: usize = 200;
 
 /// Options of the SIFT front end.
@@ -62,26 +61,26 @@ const EXHAUSTIVE_UP_TO: usize = 200;
 pub struct SiftOptions {
     /// Features of a frame.
     pub features: FeatureOptions,
-    /// When two features match.
+    /// Descriptor matching.
     pub matching: MatchOptions,
-    /// Which views are matched.
+    /// Pairs of views that are matched.
     pub pairing: Pairing,
-    /// Distance from the epipolar line up to which a match counts as verified.
+    /// Maximum distance of a verified match from its epipolar line.
     pub max_epipolar_error_px: f64,
-    /// Fewest verified matches of a pair that counts: fewer agree by chance.
+    /// Minimum number of verified matches of a pair: fewer agree by chance.
     #[schemars(extend("unit" = "matches"))]
     pub min_pair_matches: usize,
-    /// Largest number of pixels of all images together up to which positions are refined by comparing pictures;
-    /// the pictures are kept for that. 0 leaves the positions as they were found.
+    /// Maximum number of pixels of all images together up to which positions are refined by patch alignment, for which
+    /// the images are kept. 0 disables refinement.
     #[schemars(extend("unit" = "million pixels"))]
     pub max_refined_mpx: f64,
-    /// Shortest track that is kept, where there are as many views.
+    /// Minimum length of a track, where there are as many views.
     #[schemars(extend("unit" = "views"))]
     pub min_track_length: usize,
 }
 
 impl SiftOptions {
-    /// For a target.
+    /// Options for a target.
     pub fn of(target: Target) -> Self {
         match target {
             Target::Background => Self::background(),
@@ -89,7 +88,7 @@ impl SiftOptions {
         }
     }
 
-    /// Rejects what cannot be worked with.
+    /// Rejects options that are out of range.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -110,7 +109,7 @@ impl SiftOptions {
         within("min_track_length", self.min_track_length, 2..=1_000_000)
     }
 
-    /// For the background of a video.
+    /// Options for the background of a video.
     pub fn background() -> Self {
         Self {
             features: FeatureOptions::background(),
@@ -123,7 +122,7 @@ impl SiftOptions {
         }
     }
 
-    /// For the background of photographs in no order.
+    /// Options for the background of unordered photographs.
     pub fn unordered() -> Self {
         Self {
             features: FeatureOptions { max_features: 5000, contrast_threshold: 0.02, ..FeatureOptions::background() },
@@ -134,7 +133,7 @@ impl SiftOptions {
         }
     }
 
-    /// For one object of a video.
+    /// Options for one object of a video.
     pub fn object() -> Self {
         Self {
             features: FeatureOptions::object(),
@@ -146,22 +145,22 @@ impl SiftOptions {
     }
 }
 
-/// Collects features frame by frame.
+/// SIFT front end: collects features frame by frame.
 pub struct SiftFrontEnd {
     options: SiftOptions,
     cameras: Vec<Camera>,
     views: Vec<View>,
     features: Vec<Features>,
-    /// Positions of frames by name, metres in any Cartesian frame, as far as known.
+    /// Positions of frames by name, meters in any Cartesian frame, as far as known.
     positions: BTreeMap<String, Point3<f64>>,
-    waiting: Vec<Waiting>,
-    /// Grey pictures for refinement, as long as they are not too many.
+    pending: Vec<PendingFrame>,
+    /// Gray images for refinement, unless they are too many.
     pictures: Vec<GrayImage>,
     num_pixels: f64,
 }
 
-/// A frame whose features are still to be found.
-struct Waiting {
+/// Frame whose features are not extracted yet.
+struct PendingFrame {
     frame: Frame,
     camera: usize,
     image: RgbImage,
@@ -169,7 +168,7 @@ struct Waiting {
 }
 
 impl SiftFrontEnd {
-    /// `cameras` serve to verify matches; guesses will do.
+    /// Front end without frames; `cameras` serve to verify matches, and guesses suffice.
     pub fn new(options: SiftOptions, cameras: Vec<Camera>) -> Self {
         Self {
             options,
@@ -177,13 +176,13 @@ impl SiftFrontEnd {
             views: Vec::new(),
             features: Vec::new(),
             positions: BTreeMap::new(),
-            waiting: Vec::new(),
+            pending: Vec::new(),
             pictures: Vec::new(),
             num_pixels: 0.0,
         }
     }
 
-    /// Takes positions of frames by name, metres in any Cartesian frame: near frames are matched, too.
+    /// Sets positions of frames by name, meters in any Cartesian frame: near frames are matched, too.
     pub fn know_positions(&mut self, positions: BTreeMap<String, Point3<f64>>) {
         self.positions = positions;
     }
@@ -193,21 +192,20 @@ impl SiftFrontEnd {
         self.cameras.len()
     }
 
-    /// Adds a frame of one of the cameras, looking only where the mask is set.
+    /// Adds a frame of one of the cameras; features are detected only where the mask is set.
     ///
-    /// # Errors
-    /// [`FeatureError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are worked on at a
+    /// [`FeatureError::OpenCv`] if OpenCV fails, on this frame or on one before it: as many frames are processed at a
     /// time as there are threads.
     pub fn push(&mut self, frame: &Frame, camera: usize, image: &RgbImage, mask: &Mask) -> Result<(), FeatureError> {
-        self.waiting.push(Waiting { frame: frame.clone(), camera, image: image.clone(), mask: mask.clone() });
-        if self.waiting.len() < rayon::current_num_threads() { Ok(()) } else { self.work_off() }
+        self.pending.push(PendingFrame { frame: frame.clone(), camera, image: image.clone(), mask: mask.clone() });
+        if self.pending.len() < rayon::current_num_threads() { Ok(()) } else { self.extract_pending() }
     }
 
-    fn work_off(&mut self) -> Result<(), FeatureError> {
-        let waiting = std::mem::take(&mut self.waiting);
+    fn extract_pending(&mut self) -> Result<(), FeatureError> {
+        let pending = std::mem::take(&mut self.pending);
         let found: Result<Vec<Features>, FeatureError> =
-            waiting.par_iter().map(|w| extract(&w.image, &w.mask, &self.options.features)).collect();
-        for (Waiting { frame, camera, image, .. }, mut features) in waiting.into_iter().zip(found?) {
+            pending.par_iter().map(|w| extract(&w.image, &w.mask, &self.options.features)).collect();
+        for (PendingFrame { frame, camera, image, .. }, mut features) in pending.into_iter().zip(found?) {
             self.keep_picture(&image)?;
             let (pixels, rgb) = (features.pixels.clone(), std::mem::take(&mut features.rgb));
             self.views.push(View { pixels, rgb, ..View::new(&frame, camera) });
@@ -226,12 +224,12 @@ impl SiftFrontEnd {
         Ok(())
     }
 
-    /// Matches, verifies and joins to tracks.
+    /// Matches features, verifies the matches and links them to tracks.
     ///
     /// # Errors
     /// As [`SiftFrontEnd::push`].
     pub fn finish(mut self, seed: u64) -> Result<TrackTable, FeatureError> {
-        self.work_off()?;
+        self.extract_pending()?;
         let normalized: Vec<Vec<Vector2<f64>>> = self
             .features
             .par_iter()
@@ -299,7 +297,7 @@ fn all_pairs(n: usize) -> Vec<[usize; 2]> {
     (0..n).flat_map(|i| (i + 1..n).map(move |j| [i, j])).collect()
 }
 
-/// Each view with the next ones, and with those 2, 4, 8, … beyond; ascending.
+/// Pairs of each view with the next ones, and with those 2, 4, 8, … beyond; ascending.
 fn sequential_pairs(n: usize, window: usize) -> Vec<[usize; 2]> {
     let mut pairs = BTreeSet::new();
     for i in 0..n {

@@ -1,4 +1,4 @@
-//! Tracks: which features of which views show the same point.
+//! Tracks: features of the same point in several views.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use crate::bundle::Whitening;
 use crate::scene::{Frame, ImageId};
 
-/// One image's features.
+/// Features of one image.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct View {
     /// Its id in the reconstruction.
@@ -17,9 +17,9 @@ pub struct View {
     pub name: String,
     /// Index of its intrinsics.
     pub camera: usize,
-    /// Feature positions, pixels, first pixel centre at (0.5, 0.5).
+    /// Feature positions, pixels, first pixel center at (0.5, 0.5).
     pub pixels: Vec<Point2<f64>>,
-    /// Colours at the features.
+    /// Colors at the features.
     pub rgb: Vec<[u8; 3]>,
     /// Whitening of each feature's position error, relative to one another; empty if all are alike.
     pub whitening: Vec<Whitening>,
@@ -50,7 +50,7 @@ pub struct Feature {
 /// Features of the same point: at most one per view, ascending by view.
 pub type Track = Vec<Feature>;
 
-/// All views and tracks of one target: what reconstruction starts from.
+/// All views and tracks of one target: the input of reconstruction.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct TrackTable {
     /// In time order for a video.
@@ -60,7 +60,7 @@ pub struct TrackTable {
 }
 
 impl TrackTable {
-    /// Number of features that all tracks hold.
+    /// Number of features of all tracks.
     pub fn num_observations(&self) -> usize {
         self.tracks.iter().map(Vec::len).sum()
     }
@@ -85,10 +85,10 @@ pub struct PairMatches {
     pub matches: Vec<[u32; 2]>,
 }
 
-/// Joins pairwise matches to tracks (connected components).
+/// Links pairwise matches to tracks (connected components).
 ///
-/// A component that holds two features of one view contradicts itself in that view: those features are left out, the
-/// rest of the component stays. Components seen in fewer than `min_length` views are dropped.
+/// A component with two features of one view is inconsistent in that view: these features are removed, the rest of the
+/// component stays. Components with fewer than `min_length` views are dropped.
 pub fn tracks_from_matches(num_features: &[usize], pairs: &[PairMatches], min_length: usize) -> Vec<Track> {
     let offsets: Vec<usize> = num_features.iter().scan(0, |end, n| Some(std::mem::replace(end, *end + n))).collect();
     let mut parents: Vec<u32> = (0..num_features.iter().sum::<usize>() as u32).collect();
@@ -145,8 +145,8 @@ mod tests {
     }
 
     #[test]
-    fn a_view_that_contradicts_itself_leaves_the_track() {
-        // View 1's features 0 and 1 both claim to be view 0's feature 0, by way of view 2.
+    fn inconsistent_views_are_removed_from_a_track() {
+        // View 1's features 0 and 1 are both connected to view 0's feature 0, one of them through view 2.
         let pairs = [pair(0, 1, &[[0, 0]]), pair(1, 2, &[[1, 0]]), pair(0, 2, &[[0, 0]])];
         assert_eq!(flat(&tracks_from_matches(&[1, 2, 1], &pairs, 2)), [vec![(0, 0), (2, 0)]]);
     }

@@ -1,12 +1,12 @@
-//! The chain of fallbacks: what is taken for the ground below an object, and how sure it is.
+//! Chain of fallbacks for the ground plane below an object, with its uncertainty.
 //!
-//! First come the ground points round the object: labelled ones where there are enough, else those found without
-//! labels. Where it drives, the points on its path correct what they say ([`super::driven`]). In a drive with a camera
-//! that is fixed to a vehicle the road below that camera ([`Mount`]) is a second source: it judges the ground found
-//! without labels, which has to agree with it, and it is taken where fewer points than asked for are there and it is
-//! surer. Where the points of all frames bear it out it is taken wherever it is the steadier: few points make a plane
-//! that trembles from frame to frame. Frames that are left get the dominant plane of the whole place, with a deviation
-//! that says how uneven the place is.
+//! The first source is the ground points around the object: labeled points where there are enough, otherwise those of
+//! the dominant plane. Where the object drives, the points on its path correct these planes ([`super::driven`]). With a
+//! vehicle-mounted camera, the road below that camera ([`Mount`]) is a second source. A dominant plane that disagrees
+//! with the road is ignored. The road replaces planes of fewer than `num_neighbors` points where its standard deviation
+//! is smaller. Where the points of all frames confirm the road, it replaces all planes that vary more from frame to
+//! frame: a plane of few points is noisy. The remaining frames get the dominant plane of the whole background, with the
+//! RMS distance of all ground points as its standard deviation.
 
 use std::collections::BTreeMap;
 
@@ -15,9 +15,9 @@ use nalgebra::Point2;
 use super::Options;
 use super::camera_mount::Mount;
 use super::dominant::DominantPlane;
-use super::driven::on_driven_ground;
+use super::driven::corrected_by_path;
 use super::hovering::HoveringGround;
-use super::local::{LocalPlanes, local_planes, lowest_foot, object_pixels};
+use super::local::{LocalPlanes, contact_point, local_planes, object_pixels};
 use super::road::Road;
 use super::vehicle_trajectory::BodyShape;
 use crate::math::{STD_PER_MAD, median};
@@ -25,26 +25,28 @@ use crate::scene::{
     FrameId, GroundPlane, Image, ImageId, ObjectId, Observation, PlaneBasis, Point3dId, Reconstruction,
 };
 
-/// Knowledge of the ground at a position.
+/// Sources of ground planes.
 #[derive(Clone, Copy, Debug)]
 pub struct GroundChain<'a> {
     /// The background.
     pub background: &'a Reconstruction,
-    /// Points that labels call ground, ascending; empty without labels.
-    pub labelled: &'a [Point3dId],
-    /// The ground that was found without labels.
+    /// Points labeled as ground, ascending; empty without labels.
+    pub labeled: &'a [Point3dId],
+    /// Ground found without labels.
     pub dominant: Option<&'a DominantPlane>,
-    /// The road below a camera that is fixed to a vehicle.
+    /// Road below a vehicle-mounted camera.
     pub mount: Option<&'a Mount>,
-    /// The ground below a camera that does not translate; there is no other then.
+    /// Ground below a camera that does not translate; it excludes all other sources.
     pub hovering: Option<&'a HoveringGround>,
     /// Assumptions on vehicles.
     pub shape: BodyShape,
 }
 
 impl GroundChain<'_> {
-    /// The plane below one object in every frame that is registered in both models, from the surest source that has
-    /// one. The same seed gives the same planes, on any number of threads.
+    /// Returns the plane below one object in every frame that is registered in both models.
+    ///
+    /// Each plane is that of the best source that has one. The same seed gives the same planes, on any number of
+    /// threads.
     pub fn planes(&self, object: ObjectId, model: &Reconstruction, options: &Options, seed: u64) -> LocalPlanes {
         if let Some(ground) = self.hovering {
             return ground.planes(self.background, model);
@@ -52,21 +54,21 @@ impl GroundChain<'_> {
         let local = |points: &[Point3dId]| local_planes(self.background, points, object, model, options, seed);
         let dominant =
             self.dominant.filter(|ground| self.mount.is_none_or(|mount| mount.agrees(self.background, ground)));
-        let mut labelled = local(self.labelled);
-        labelled.planes.values_mut().for_each(|plane| plane.basis = PlaneBasis::LabelledPoints);
-        let num_frames = (labelled.planes.len() + labelled.skipped.len()) as f64;
+        let mut labeled = local(self.labeled);
+        labeled.planes.values_mut().for_each(|plane| plane.basis = PlaneBasis::LabelledPoints);
+        let num_frames = (labeled.planes.len() + labeled.skipped.len()) as f64;
         let (mut found, points) = match dominant {
-            // Labeled points give a plane to less than half of the object's frames.
-            Some(ground) if (labelled.planes.len() as f64) < 0.5 * num_frames => {
+            // Labeled points give planes in less than half of the object's frames.
+            Some(ground) if (labeled.planes.len() as f64) < 0.5 * num_frames => {
                 (local(&ground.point_ids), ground.point_ids.as_slice())
             }
-            _ => (labelled, self.labelled),
+            _ => (labeled, self.labeled),
         };
         if options.vehicle_path {
-            found.planes = on_driven_ground(self.background, points, model, found.planes, options, &self.shape);
+            found.planes = corrected_by_path(self.background, points, model, found.planes, options, &self.shape);
         }
         if let Some(mount) = self.mount {
-            self.prefer_surer(&mut found, mount, model, options);
+            self.replace_by_road(&mut found, mount, model, options);
         }
         if let Some(dominant) = dominant {
             self.fill(&mut found, dominant, model);
@@ -75,8 +77,7 @@ impl GroundChain<'_> {
         found
     }
 
-    /// The plane below an object of which only outlines are known, in every registered frame with one; as [`planes`]
-    /// otherwise.
+    /// Returns the planes below an object without a model, in every registered frame with an outline; see [`planes`].
     ///
     /// * `outlines` – by frame, pixels on the object's outline.
     ///
@@ -88,13 +89,13 @@ impl GroundChain<'_> {
         options: &Options,
         seed: u64,
     ) -> LocalPlanes {
-        // Without points of its own it has no path over the ground.
+        // Without a model there is no path over the ground.
         let options = Options { vehicle_path: false, ..*options };
-        self.planes(object, &self.stand_in(outlines), &options, seed)
+        self.planes(object, &self.model_of_outlines(outlines), &options, seed)
     }
 
-    /// Images that observe an object at the given pixels, without its points.
-    fn stand_in(&self, outlines: &BTreeMap<FrameId, Vec<Point2<f64>>>) -> Reconstruction {
+    /// Model without points, whose images observe an object at the given pixels.
+    fn model_of_outlines(&self, outlines: &BTreeMap<FrameId, Vec<Point2<f64>>>) -> Reconstruction {
         let observed = |pixel: &Point2<f64>| Observation { pixel: *pixel, point: Some(Point3dId(0)) };
         let with_outline = |(id, image): (&ImageId, &Image)| {
             let observations = outlines.get(&id.frame())?.iter().map(observed).collect();
@@ -104,36 +105,39 @@ impl GroundChain<'_> {
         Reconstruction { images, ..Reconstruction::default() }
     }
 
-    /// Takes the road below the camera where it is surer than points of which there are fewer than asked for; where the
-    /// points of all frames bear it out, wherever it wanders less from frame to frame than they do.
-    fn prefer_surer(&self, found: &mut LocalPlanes, mount: &Mount, model: &Reconstruction, options: &Options) {
+    /// Replaces planes of points by the road below the camera.
+    ///
+    /// By default these are planes of fewer than `num_neighbors` points with a larger standard deviation. Where the
+    /// points of all frames confirm the road, these are all planes with a larger standard deviation from frame to
+    /// frame.
+    fn replace_by_road(&self, found: &mut LocalPlanes, mount: &Mount, model: &Reconstruction, options: &Options) {
         let roads = self.road(mount, model);
-        let is_borne_out = bear_out(&self.gaps(&found.planes, &roads, model));
+        let is_confirmed = confirm_road(&self.road_heights(&found.planes, &roads, model));
         for (frame, road) in roads {
-            // A steadier road may be less sure in all by a factor of two.
-            let stays = |plane: &GroundPlane| match is_borne_out {
+            // The total standard deviation of a road with less noise per frame may be up to twice as large.
+            let is_kept = |plane: &GroundPlane| match is_confirmed {
                 true => plane.own_height_std() < road.own_height_std() || 2.0 * plane.height_std < road.height_std,
                 false => plane.num_points >= options.num_neighbors || plane.height_std <= road.height_std,
             };
-            if !found.planes.get(&frame).is_some_and(stays) {
+            if !found.planes.get(&frame).is_some_and(is_kept) {
                 found.planes.insert(frame, road);
             }
         }
     }
 
-    /// Distances of planes of points from the road, below the object.
-    fn gaps(
+    /// Heights of the road over the planes of points, below the object.
+    fn road_heights(
         &self,
         points: &BTreeMap<FrameId, GroundPlane>,
         roads: &BTreeMap<FrameId, GroundPlane>,
         model: &Reconstruction,
-    ) -> Vec<Gap> {
+    ) -> Vec<RoadHeight> {
         let compared = |(frame, image, in_object): (FrameId, &Image, &Image)| {
             let (plane, road) = (points.get(&frame)?, roads.get(&frame)?);
             let height = road.signed_distance(image.cam_from_world.center());
-            let foot = lowest_foot(self.background, image, &object_pixels(in_object), (&road.normal, height))?;
-            Some(Gap {
-                height: plane.signed_distance(foot),
+            let contact = contact_point(self.background, image, &object_pixels(in_object), (&road.normal, height))?;
+            Some(RoadHeight {
+                height: plane.signed_distance(contact),
                 own_std: plane.own_height_std().hypot(road.own_height_std()),
                 common_std: plane.common_height_std.hypot(road.common_height_std),
             })
@@ -141,7 +145,7 @@ impl GroundChain<'_> {
         self.background.paired_images(model).into_iter().filter_map(compared).collect()
     }
 
-    /// The road below the object in every frame.
+    /// Road below the object in every frame.
     fn road(&self, mount: &Mount, model: &Reconstruction) -> BTreeMap<FrameId, GroundPlane> {
         let road = Road::new(self.background, mount);
         let below = |(frame, image, in_object): (FrameId, &Image, &Image)| {
@@ -150,7 +154,7 @@ impl GroundChain<'_> {
         self.background.paired_images(model).into_iter().filter_map(below).collect()
     }
 
-    /// The dominant plane where there is no other; what has none either stays skipped.
+    /// Inserts the dominant plane in frames without a plane; frames without either stay skipped.
     fn fill(&self, found: &mut LocalPlanes, dominant: &DominantPlane, model: &Reconstruction) {
         let spread = dominant.spread(self.background);
         for (frame, image, in_object) in self.background.paired_images(model) {
@@ -171,9 +175,9 @@ impl GroundChain<'_> {
     ) -> Option<GroundPlane> {
         let normal = dominant.normal;
         let height = normal.dot(&(image.cam_from_world.center() - dominant.point));
-        // Without a foot nothing is known of where the object is on the plane.
-        let foot = lowest_foot(self.background, image, pixels, (&normal, height)).filter(|_| height > spread)?;
-        let reach = (foot - image.cam_from_world.center()).norm().max(height);
+        // Without a contact point the object's position on the plane is unknown.
+        let contact = contact_point(self.background, image, pixels, (&normal, height)).filter(|_| height > spread)?;
+        let reach = (contact - image.cam_from_world.center()).norm().max(height);
         Some(GroundPlane {
             normal,
             point: dominant.point,
@@ -188,20 +192,22 @@ impl GroundChain<'_> {
     }
 }
 
-/// Height of the road above a plane of points in one frame, with the standard deviations of both for the frame alone
-/// and for all frames.
-struct Gap {
+/// Height of the road over a plane of points in one frame.
+///
+/// The standard deviations, of both together, are those of the frame alone and those common to all frames.
+struct RoadHeight {
     height: f64,
     own_std: f64,
     common_std: f64,
 }
 
-/// Returns true if the points lie on the road: on average, and from frame to frame, within three standard deviations.
-fn bear_out(gaps: &[Gap]) -> bool {
-    let median_of = |value: &dyn Fn(&Gap) -> f64| median(gaps.iter().map(value).collect()).unwrap_or(f64::INFINITY);
-    let middle = median_of(&|gap| gap.height);
-    let spread = STD_PER_MAD * median_of(&|gap| (gap.height - middle).abs());
-    let (own, common) = (median_of(&|gap| gap.own_std), median_of(&|gap| gap.common_std));
-    // Fewest frames in which planes of points and the road are compared.
-    gaps.len() >= 5 && spread <= 3.0 * own && middle.abs() <= 3.0 * common.hypot(own)
+/// Returns true if the points confirm the road (eq. 19a): within 3σ on average, and from frame to frame.
+fn confirm_road(road_heights: &[RoadHeight]) -> bool {
+    let median_of =
+        |value: &dyn Fn(&RoadHeight) -> f64| median(road_heights.iter().map(value).collect()).unwrap_or(f64::INFINITY);
+    let middle = median_of(&|road| road.height);
+    let spread = STD_PER_MAD * median_of(&|road| (road.height - middle).abs());
+    let (own, common) = (median_of(&|road| road.own_std), median_of(&|road| road.common_std));
+    // Minimum number of frames in which planes of points and the road are compared.
+    road_heights.len() >= 5 && spread <= 3.0 * own && middle.abs() <= 3.0 * common.hypot(own)
 }

@@ -1,16 +1,16 @@
 //! Ground without labels: the dominant plane below the camera.
 //!
-//! A stand-in for labels, and marked as such in the result ([`GroundSource::Geometric`](crate::scene::GroundSource)).
-//! Of all planes through many background points, the cameras distinguish the ground from façades and roofs: they lie
-//! above it, they are not rolled against it, and hardly anything lies below it (eq. 9 to 11 of `docs/maths/ground.md`).
-//! Which of its directions is "down" depends on the camera's pitch, which is free: level, oblique and straight down all
-//! occur.
+//! It replaces missing labels, and the result is marked accordingly
+//! ([`GroundSource::Geometric`](crate::scene::GroundSource)). Of all planes through many background points, the cameras
+//! distinguish the ground from façades and roofs: they are above it, they are not rolled relative to it, and hardly any
+//! point is below it (eq. 9 to 11 of `docs/maths/ground.md`). The pitch of the camera is free: level, oblique and nadir
+//! views all occur.
 //!
-//! From the points of that plane the ground is grown over slopes and hills: a point joins if the plane through its
-//! nearest ground points, which must not be steep, meets it (eq. 12).
+//! Region growing extends the ground from that plane over slopes and hills: a point joins if it is on the plane through
+//! its nearest ground points, and this plane is not steep (eq. 12).
 //!
-//! Limits: a street without texture between façades full of it, a forest without ground, and straight views at a façade
-//! have no ground that this could find, or the wrong one.
+//! Limits: streets without texture between textured façades, forests without visible ground, and frontal views of a
+//! façade give no ground, or a wrong one.
 
 use nalgebra::{Point3, Vector3};
 use serde::{Deserialize, Serialize};
@@ -21,41 +21,41 @@ use super::plane::{Candidate, Plane, PlaneFailure, fit_plane, least_squares_plan
 use crate::math::{Neighbors, is_finite, seeded_rng, upper_median};
 use crate::scene::{Point3dId, Reconstruction};
 
-/// Why no ground was found.
+/// Reason why no ground was found.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum GroundError {
-    /// Nothing to find it in.
+    /// Too few stable points.
     #[error("only {found} background points have {min_observations} or more observations; at least {needed} needed")]
     TooFewPoints {
-        /// Stable points.
+        /// Number of stable points.
         found: usize,
-        /// Observations that make a point stable.
+        /// Minimum number of observations of a stable point.
         min_observations: usize,
-        /// Fewest that are needed.
+        /// Minimum number of stable points.
         needed: usize,
     },
-    /// No plane that could be the ground.
+    /// No plane qualifies as the ground.
     #[error("no plane below the cameras can be the ground: {0}")]
     NoPlane(#[from] PlaneFailure),
 }
 
-/// The ground found without labels.
+/// Ground found without labels.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct DominantPlane {
-    /// Ground points, on the plane or on what was grown from it, ascending.
+    /// Ground points, on the plane or added by region growing, ascending.
     pub point_ids: Vec<Point3dId>,
     /// Unit normal of the dominant plane, towards the cameras.
     pub normal: Vector3<f64>,
-    /// A point of it.
+    /// Point on the dominant plane.
     pub point: Point3<f64>,
-    /// Part of the stable points that are ground, 0 to 1.
+    /// Share of the stable points that are ground, 0 to 1.
     pub share: f64,
-    /// Points on the dominant plane itself; the rest of `point_ids` was grown.
+    /// Number of points on the dominant plane itself; region growing added the rest of `point_ids`.
     pub num_on_plane: usize,
 }
 
 impl DominantPlane {
-    /// Root mean square distance of all ground points from the plane: how uneven the place is, units of the background.
+    /// RMS distance of all ground points from the plane, units of the background: the unevenness of the ground.
     pub fn spread(&self, background: &Reconstruction) -> f64 {
         let points = self.point_ids.iter().filter_map(|id| background.points.get(id));
         let squares: Vec<f64> = points
@@ -66,7 +66,7 @@ impl DominantPlane {
     }
 }
 
-/// The points of the dominant plane below the cameras, and of the ground that continues it.
+/// Finds the dominant plane below the cameras, with its points and those of the ground that continues it.
 ///
 /// # Errors
 /// [`GroundError`] when there are too few points or no plane qualifies.
@@ -86,7 +86,8 @@ pub fn dominant_plane_points(
         let below = num_below(&candidates, plane, cameras.side(plane));
         cameras.plausibility(plane, options.max_roll_deg) * (support - 0.5 * below as f64)
     };
-    // Ground may be a small part of a scene: all samples are drawn that a share of a tenth calls for.
+    // Ground may be a small part of a scene: the maximum number of samples is that for an inlier
+    // ratio of one tenth.
     let max_samples = 10 * options.max_samples;
     let rng = &mut seeded_rng(seed, 0x6772_6f75_6e64);
     let plane = fit_plane(&candidates, needed, max_samples, score, rng)?;
@@ -104,7 +105,7 @@ pub fn dominant_plane_points(
     })
 }
 
-/// Points seen often enough, with the tolerance of their median depth (eq. 1).
+/// Points with enough observations, with the tolerance at their median depth (eq. 1).
 fn stable_points(background: &Reconstruction, options: &Options) -> (Vec<Point3dId>, Vec<Candidate>) {
     background
         .points
@@ -124,7 +125,7 @@ fn stable_points(background: &Reconstruction, options: &Options) -> (Vec<Point3d
         .unzip()
 }
 
-/// Centres and axes of all cameras, in the background's frame.
+/// Centers and axes of all cameras, in the background's frame.
 struct Cameras {
     centers: Vec<Point3<f64>>,
     right: Vec<Vector3<f64>>,
@@ -142,18 +143,18 @@ impl Cameras {
         }
     }
 
-    /// +1 if the normal points to the side of most cameras, else −1.
+    /// +1 if the normal points to the side of most cameras, otherwise −1.
     fn side(&self, plane: &Plane) -> f64 {
         let num_positive = self.centers.iter().filter(|c| plane.distance(c) > 0.0).count();
         if 2 * num_positive >= self.centers.len() { 1.0 } else { -1.0 }
     }
 
-    /// Score of a plane as the ground of the cameras, 0 to 1 (eq. 9 and 10).
+    /// Plausibility of a plane as the ground below the cameras, 0 to 1 (eq. 9 and 10).
     ///
-    /// 0 if more than one camera in ten lies below it, if the cameras are rolled against it by more than the limit, or
-    /// if they hang upside down over it. Else it grows with the part of "up in the image" that is along the normal: of
-    /// a level camera the ground has 1 and the façade before it the least value; the ground straight below a camera has
-    /// that value too, but no rival.
+    /// It is 0 if more than one camera in ten is below the plane, if the cameras are rolled relative to it by more than
+    /// the limit, or if they are upside down. Otherwise it increases with the component of the image's up direction
+    /// along the normal. For a level camera the ground has 1 and the façade in front of it the minimum. In a nadir view
+    /// the ground has the minimum as well, but no competitor.
     fn plausibility(&self, plane: &Plane, max_roll_deg: f64) -> f64 {
         let count = self.centers.len() as f64;
         let normal = plane.normal * self.side(plane);
@@ -169,23 +170,23 @@ impl Cameras {
     }
 }
 
-/// Points that are plainly on the other side of the plane than the cameras: three tolerances and more (b of eq. 11).
+/// Number of points more than three tolerances beyond the plane, seen from the cameras (b of eq. 11).
 fn num_below(candidates: &[Candidate], plane: &Plane, side: f64) -> usize {
     candidates.iter().filter(|c| side * plane.distance(&c.position) < -3.0 * c.tolerance).count()
 }
 
-/// Adds points that continue the ground, in rounds, until a round adds less than one in 200.
+/// Region growing: adds points that continue the ground, in rounds, until a round adds less than one in 200.
 fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>, max_slope_deg: f64) {
-    let least_cos = max_slope_deg.to_radians().cos();
+    let min_cos = max_slope_deg.to_radians().cos();
     for _ in 0..20 {
         let ground: Vec<usize> = (0..candidates.len()).filter(|&k| is_ground[k]).collect();
         let positions: Vec<[f64; 3]> = ground.iter().map(|&k| candidates[k].position.coords.into()).collect();
         let Some(tree) = Neighbors::new(&positions) else { return };
         let continues = |candidate: &Candidate| {
-            // Nearest ground points that predict where the ground is.
+            // Number of nearest ground points through which the local plane is fitted.
             let nearest = tree.nearest(&candidate.position.coords.into(), 16);
             let nearest: Vec<Candidate> = nearest.into_iter().map(|k| candidates[ground[k]]).collect();
-            joins(candidate, &nearest, normal, least_cos)
+            continues_ground(candidate, &nearest, normal, min_cos)
         };
         let joining: Vec<usize> =
             (0..candidates.len()).filter(|&k| !is_ground[k] && continues(&candidates[k])).collect();
@@ -198,14 +199,13 @@ fn grow(candidates: &[Candidate], is_ground: &mut [bool], normal: &Vector3<f64>,
     }
 }
 
-/// Returns true if the plane through the nearest ground points contains a point, near enough to be valid there (eq.
-/// 12).
-fn joins(candidate: &Candidate, nearest: &[Candidate], normal: &Vector3<f64>, least_cos: f64) -> bool {
+/// Returns true if a candidate is on the plane through the nearest ground points, and close to them (eq. 12).
+fn continues_ground(candidate: &Candidate, nearest: &[Candidate], normal: &Vector3<f64>, min_cos: f64) -> bool {
     let Some(local) = least_squares_plane(nearest) else { return false };
     let spread = nearest.iter().map(|c| (c.position - local.point).norm_squared()).sum::<f64>() / nearest.len() as f64;
     let is_near = (candidate.position - local.point).norm_squared() <= 4.0 * spread;
     is_near
-        && local.normal.dot(normal).abs() >= least_cos
+        && local.normal.dot(normal).abs() >= min_cos
         && local.distance(&candidate.position).abs() <= candidate.tolerance
 }
 
@@ -214,7 +214,7 @@ mod tests {
     use super::*;
     use crate::synthetic::drive::{self, Drive, Noise, Terrain, drive};
 
-    /// Found part of all stable ground points, and wrong part of all found ones.
+    /// Recall over the stable ground points, and share of wrong points among those found.
     fn recall_and_error(world: &Drive) -> (f64, f64) {
         let found = dominant_plane_points(&world.background, &Options::default(), 5).unwrap();
         let is_stable = |id: &&Point3dId| world.background.points[id].track.len() >= 4;
@@ -246,8 +246,8 @@ mod tests {
         for height in [6.0, 12.0, 21.0] {
             for terrain in [Terrain::Flat, Terrain::Slope { gradient: [0.12, 0.05] }] {
                 let (recall, error) = recall_and_error(&world(terrain, height, 2000));
-                // Wrong are the feet of poles, within four pixels of the ground; missing are points that were seen a
-                // few times from nearly one place, and whose depth is therefore poor.
+                // False positives are the lower ends of poles, within four pixels of the ground. False negatives are
+                // points with a few observations from nearly one position, whose depth is therefore poor.
                 assert!(recall > 0.9 && error < 0.05, "{terrain:?} from {height} m: {recall}, {error}");
             }
         }
@@ -255,23 +255,23 @@ mod tests {
 
     #[test]
     fn a_facade_with_more_points_does_not_win() {
-        // A third of the points is ground; half of the rest stands on one façade, as many as the ground has.
+        // A third of the points is ground; half of the rest is on one façade, as many as on the ground.
         let (recall, error) = recall_and_error(&world(Terrain::Flat, 10.0, 500));
         assert!(recall > 0.97 && error < 0.15, "{recall}, {error}");
     }
 
     #[test]
-    fn hills_are_grown_over() {
+    fn region_growing_covers_hills() {
         let terrain = Terrain::Hills { amplitude_m: 1.5, wavelength_m: 70.0 };
         let (recall, error) = recall_and_error(&world(terrain, 12.0, 3000));
         assert!(recall > 0.95 && error < 0.1, "{recall}, {error}");
     }
 
     #[test]
-    fn nothing_in_nothing_out() {
+    fn scenes_without_a_plane_have_no_ground() {
         let few = dominant_plane_points(&Reconstruction::default(), &Options::default(), 1);
         assert!(matches!(few, Err(GroundError::TooFewPoints { found: 0, .. })));
-        // A cloud without a plane.
+        // A point cloud without a plane.
         let mut cloud = world(Terrain::Flat, 12.0, 300).background;
         for (point, k) in cloud.points.values_mut().zip(1u32..) {
             let t = f64::from(k);

@@ -1,8 +1,8 @@
-//! The camera's height over the ground, and where up is.
+//! Height of the camera over the ground, and the up direction.
 //!
-//! In evenly spread frames a plane is fitted to the ground points nearest to the camera (eq. 4 to 8 of
-//! `docs/maths/ground.md`); the camera's height is that over this plane, and its deviation that of the plane at the
-//! camera's foot. Heights are a mean over the frames: a camera that climbs has no other single one.
+//! In evenly spaced frames a plane is fitted to the ground points nearest to the camera (eq. 4 to 8 of
+//! `docs/maths/ground.md`). The height is that over this plane, with the standard deviation of the plane at the foot of
+//! the camera. The result is the mean over the frames, since a climbing camera has no single height.
 
 use nalgebra::{Point3, Vector3};
 use thiserror::Error;
@@ -13,59 +13,60 @@ use crate::camera::SLOPE_STD;
 use crate::math::{Neighbors, is_finite, median, seeded_rng};
 use crate::scene::{Image, Point3dId, Reconstruction};
 
-/// The camera over the ground, in units of the background.
+/// Height of the camera over the ground, in units of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraHeight {
     /// Mean over the frames.
     pub mean: f64,
     /// Standard deviation of the mean.
     pub std: f64,
-    /// Standard deviation of the heights themselves, as a share of the mean: how much the camera climbs.
+    /// Standard deviation of the heights over the frames, as a share of the mean.
     pub spread: f64,
-    /// Unit vector: mean normal of the planes, towards the camera.
+    /// Mean unit normal of the planes, towards the camera.
     pub up_in_world: Vector3<f64>,
-    /// Root-mean-square angle between the normals and it, radians.
+    /// RMS angle between the normals and their mean, radians.
     pub tilt_spread: f64,
     /// Frames with a plane below the camera.
     pub num_frames: usize,
-    /// Foot of the first such camera.
+    /// Foot of the first of these cameras on its plane.
     pub foot_in_world: Point3<f64>,
 }
 
 impl CameraHeight {
-    /// Standard deviation of the normal as the vertical, radians: the ground is not level, and half of what the planes
-    /// differ is common to all.
+    /// Standard deviation of the normal as the vertical, radians.
+    ///
+    /// The ground is not level, and half of the spread of the planes is common to all of them.
     pub fn tilt_std(&self) -> f64 {
         SLOPE_STD.hypot(0.5 * self.tilt_spread)
     }
 }
 
-/// Why the camera's height over the ground is not known.
+/// Reason why the height of the camera over the ground is unknown.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum HeightFailure {
-    /// Nothing to fit planes to.
+    /// Too few ground points.
     #[error("only {found} ground points; at least {needed} needed")]
     TooFewPoints {
-        /// Ground points.
+        /// Number of ground points.
         found: usize,
-        /// Fewest that are needed.
+        /// Minimum number of ground points.
         needed: usize,
     },
-    /// In hardly any frame is there ground near the camera.
+    /// Too few frames have ground near the camera.
     #[error("only {found} of {of} examined frames have ground near the camera")]
     TooFewFrames {
-        /// Frames with a plane.
+        /// Number of frames with a plane.
         found: usize,
-        /// Frames that were looked at.
+        /// Number of examined frames.
         of: usize,
     },
 }
 
-/// Common error of the planes of one place (drift, cambers, grass), as a share of the height. Of seven rendered flights
+/// Common error of the planes of one scene (drift, cambers, grass), as a share of the height. In seven rendered flights
 /// (bumpy road, crossing, left curves, overtaking, two of right curves, steep street) heights were 0.4 to 3.3 % short.
 const COMMON_STD: f64 = 0.018;
 
-/// The height of the camera over the ground, and the mean normal of the ground.
+/// Estimates the height of the camera over the ground, and the mean normal of the ground.
 ///
 /// * `ground_points` – ascending.
 ///
@@ -82,30 +83,30 @@ pub fn camera_height(
     let needed = options.min_points.max(3);
     let too_few = HeightFailure::TooFewPoints { found: points.len(), needed };
     let tree = Neighbors::new(&points).filter(|_| points.len() >= needed).ok_or(too_few)?;
-    // Neighbors of more than 60 frames say nothing new.
+    // More than 60 frames add little information.
     let every = background.images.len().div_ceil(60).max(1);
     let images: Vec<&Image> = background.images.values().step_by(every).collect();
-    let found: Vec<Below> = (0..)
+    let found: Vec<PlaneBelow> = (0..)
         .zip(&images)
         .filter_map(|(k, image)| {
             let center = image.cam_from_world.center();
-            // So many that they reach further than a lane.
+            // Enough points to extend beyond a lane.
             let near = tree.nearest(&center.coords.into(), 200).into_iter().map(|i| points[i].into());
-            Below::of(background, image, near, options, (seed, 0x6865_6967_6874 + k))
+            PlaneBelow::of(background, image, near, options, (seed, 0x6865_6967_6874 + k))
         })
         .collect();
     mean(&found, images.len()).ok_or(HeightFailure::TooFewFrames { found: found.len(), of: images.len() })
 }
 
-/// The ground below one camera.
-struct Below {
+/// Ground plane below one camera.
+struct PlaneBelow {
     height: f64,
     std: f64,
     normal: Vector3<f64>,
     foot: Point3<f64>,
 }
 
-impl Below {
+impl PlaneBelow {
     fn of(
         background: &Reconstruction,
         image: &Image,
@@ -124,24 +125,24 @@ impl Below {
         let normal = plane.normal * height.signum();
         let foot = center - normal * height.abs();
         let std = plane.height_std_at(&foot).hypot(plane.rms / (plane.num_inliers as f64).sqrt());
-        // A plane that is known no better at the camera's foot does not count, as a share of the height.
+        // Maximum standard deviation of a usable plane at the foot of the camera, as a share of the height.
         (std <= 0.1 * height.abs()).then_some(Self { height: height.abs(), std, normal, foot })
     }
 }
 
-/// Means over the frames; `None` where fewer than a fifth of them has a plane.
-fn mean(found: &[Below], num_frames: usize) -> Option<CameraHeight> {
+/// Means over the frames; `None` where fewer than a fifth of them have a plane.
+fn mean(found: &[PlaneBelow], num_frames: usize) -> Option<CameraHeight> {
     let first = found.first().filter(|_| 5 * found.len() >= num_frames)?;
     let num = found.len() as f64;
     let mean = found.iter().map(|below| below.height).sum::<f64>() / num;
     let spread = (found.iter().map(|below| (below.height - mean).powi(2)).sum::<f64>() / num).sqrt() / mean;
     let up_in_world = found.iter().map(|below| below.normal).sum::<Vector3<f64>>().try_normalize(f64::EPSILON)?;
     let angles: f64 = found.iter().map(|below| below.normal.angle(&up_in_world).powi(2)).sum();
-    // Planes of neighbouring frames rest on the same points: their errors do not average out. What the frames without a
-    // plane would have shown is not known either.
+    // Planes of neighboring frames share points, so their errors do not average out. The heights in frames without a
+    // plane are unknown as well.
     let of_planes = median(found.iter().map(|below| below.std / below.height).collect())?;
-    let of_the_others = spread * (1.0 - num / num_frames as f64);
-    let share = COMMON_STD.hypot(of_planes).hypot(of_the_others);
+    let of_other_frames = spread * (1.0 - num / num_frames as f64);
+    let share = COMMON_STD.hypot(of_planes).hypot(of_other_frames);
     (mean.is_finite() && mean > 0.0 && share.is_finite()).then_some(CameraHeight {
         mean,
         std: share * mean,
@@ -159,7 +160,7 @@ mod tests {
     use crate::synthetic::drive::{self, Noise, Terrain, drive};
 
     #[test]
-    fn the_height_over_a_flat_place_is_the_cameras() {
+    fn the_height_over_flat_ground_is_that_of_the_cameras() {
         let noise = Noise { pixel_px: 0.5, ..Noise::default() };
         let world = drive(&drive::Options { noise, terrain: Terrain::Flat, ..Default::default() }, 3);
         let found = camera_height(&world.background, &world.ground_points, &Options::default(), 7).unwrap();

@@ -4,13 +4,14 @@ use nalgebra::Point2;
 
 use crate::scene::{Image, Point3dId, Reconstruction};
 
-/// The points of a background reconstruction that are ground: seen at least `min_observations` times (the paper's
-/// four), and with more votes for ground than against it (eq. 2 of `docs/maths/ground.md`).
+/// Returns the ids of the background points that are ground by their labels, ascending.
 ///
-/// `vote` says what lies under an observation: ground, something else, or `None` where there is no label (outside the
-/// mask, or a frame without one). A point without any vote, or with as many for as against, is not ground. Observations
-/// are visited image by image, ascending by id, so that `vote` can load one label map after the other. Returns ids,
-/// ascending.
+/// A ground point has at least `min_observations` observations (the paper's four), and more votes for ground than
+/// against it (eq. 2 of `docs/maths/ground.md`). A point without votes, or with a tie, is not ground.
+///
+/// * `vote` – label of an observation: true for ground, false for another label, `None` without one (outside the mask,
+///   or in a frame without labels). It is called image by image, ascending by id, so it can load one label map after
+///   the other.
 pub fn label_points(
     background: &Reconstruction,
     min_observations: usize,
@@ -40,21 +41,20 @@ mod tests {
     fn the_majority_of_labels_decides_for_stable_points() {
         let world = drive(&Options::default(), 1);
         let truth = &world.ground_points;
-        let observed = |id: &Point3dId| world.background.points[id].track.len() >= 4;
-        let expected: Vec<_> = truth.iter().copied().filter(observed).collect();
-        // Every fifth label is missing and every fourth is wrong; odd errors never reach a majority of a track's
-        // labels.
+        let is_stable = |id: &Point3dId| world.background.points[id].track.len() >= 4;
+        let expected: Vec<_> = truth.iter().copied().filter(is_stable).collect();
+        // Every fifth label is missing and every sixteenth is wrong; errors never reach a majority of a track's labels.
         let by_pixel = |image: &Image, pixel: Point2<f64>| {
-            let seen = image.observations.iter().find(|o| o.pixel == pixel)?.point?;
-            Some(truth.binary_search(&seen).is_ok())
+            let observed = image.observations.iter().find(|o| o.pixel == pixel)?.point?;
+            Some(truth.binary_search(&observed).is_ok())
         };
         assert_eq!(label_points(&world.background, 4, by_pixel), expected);
         let mut count = 0;
-        let mut sloppy = |image: &Image, pixel: Point2<f64>| {
+        let mut with_errors = |image: &Image, pixel: Point2<f64>| {
             count += 1;
             if count % 5 == 0 { None } else { by_pixel(image, pixel).map(|label| label != (count % 16 == 0)) }
         };
-        let found = label_points(&world.background, 4, &mut sloppy);
+        let found = label_points(&world.background, 4, &mut with_errors);
         let wrong = found.iter().filter(|id| expected.binary_search(id).is_err()).count();
         assert!(wrong == 0 && found.len() * 100 > expected.len() * 99, "{} of {}", found.len(), expected.len());
         assert!(label_points(&world.background, 4, |_, _| None).is_empty());

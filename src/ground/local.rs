@@ -1,4 +1,4 @@
-//! One plane per frame: the ground round the object.
+//! Local ground planes: one per frame, around the object.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -11,24 +11,24 @@ use super::plane::{Candidate, PlaneFailure, UNEVENNESS, fit_plane};
 use crate::math::{Neighbors, seeded_rng};
 use crate::scene::{FrameId, GroundPlane, Image, ObjectId, PlaneBasis, Point3dId, Reconstruction};
 
-/// Why a frame has no plane.
+/// Reason why a frame has no plane.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum SkipReason {
-    /// The object's model has no observations there.
+    /// The object's model has no observations in the frame.
     #[error("no point of the object's model is observed")]
     NoObjectObservations,
-    /// Too few points of the ground are seen.
+    /// Too few ground points are observed.
     #[error("only {found} ground points observed; at least {needed} needed")]
     TooFewGroundPoints {
-        /// Ground points observed in the frame.
+        /// Number of ground points observed in the frame.
         found: usize,
-        /// Fewest for a plane.
+        /// Minimum number of points of a plane.
         needed: usize,
     },
     /// The points do not determine a plane.
     #[error(transparent)]
     NoPlane(#[from] PlaneFailure),
-    /// The camera lies on the plane, so that the plane has no camera side.
+    /// The camera is on the plane, so the plane has no camera side.
     #[error("the camera is on the plane of the ground points, so this is not the ground below it")]
     CameraOnPlane,
 }
@@ -38,16 +38,16 @@ pub enum SkipReason {
 pub struct SkippedFrame {
     /// The frame.
     pub frame: FrameId,
-    /// Missing input.
+    /// Reason why it has none.
     pub reason: SkipReason,
 }
 
-/// The local planes of one object.
+/// Local planes of one object.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct LocalPlanes {
     /// By frame, in the background's frame and unit.
     pub planes: BTreeMap<FrameId, GroundPlane>,
-    /// Frames that are registered in both models and have no plane, ascending.
+    /// Frames registered in both models that have no plane, ascending.
     pub skipped: Vec<SkippedFrame>,
 }
 
@@ -64,18 +64,18 @@ impl FromIterator<(FrameId, Result<GroundPlane, SkipReason>)> for LocalPlanes {
     }
 }
 
-/// Pixels where an image sees points of its object's model.
+/// Pixels at which an image observes points of its object's model.
 pub(super) fn object_pixels(in_object: &Image) -> Vec<Point2<f64>> {
-    let seen = in_object.observations.iter().filter(|o| o.point.is_some()).map(|o| o.pixel);
-    seen.filter(|pixel| pixel.coords.iter().all(|x| x.is_finite())).collect()
+    let observed = in_object.observations.iter().filter(|o| o.point.is_some()).map(|o| o.pixel);
+    observed.filter(|pixel| pixel.coords.iter().all(|x| x.is_finite())).collect()
 }
 
-/// Fits the ground round one object, in every frame that is registered in both models.
+/// Fits the ground plane around one object, in every frame that is registered in both models.
 ///
-/// Ground points are gathered in the image, as in the paper: for each object observation the nearest ground
-/// observation, then for each the next nearest, until [`Options::num_neighbors`] different points are there (eq. 3 of
-/// `docs/maths/ground.md`). A round is always finished, so that the points are spread evenly round the object. RANSAC
-/// and least squares follow (eq. 4 to 8); the normal points to the camera's side. `ground_points` must be ascending.
+/// Ground points are selected in the image, as in the paper: for each object observation the nearest ground
+/// observation, then for each the next nearest, until there are [`Options::num_neighbors`] distinct points (eq. 3 of
+/// `docs/maths/ground.md`). Every round is completed, so the points are evenly spread around the object. RANSAC and
+/// least squares follow (eq. 4 to 8). The normal points to the camera's side. `ground_points` must be ascending.
 ///
 /// The same seed gives the same planes, on any number of threads.
 pub fn local_planes(
@@ -110,7 +110,7 @@ fn ground_observations(
         .iter()
         .filter_map(|o| Some((o.pixel, o.point?)))
         .filter(|(pixel, id)| {
-            // NaN would be accepted by the tree, and poison it.
+            // The tree accepts NaN, but then its queries are wrong.
             let is_finite = pixel.coords.iter().all(|x| x.is_finite());
             is_finite && ground_points.binary_search(id).is_ok() && background.points.contains_key(id)
         })
@@ -150,8 +150,8 @@ fn plane_of_frame(
         return Err(SkipReason::CameraOnPlane);
     }
     let normal = plane.normal * height.signum();
-    let foot = lowest_foot(background, image, &object_pixels, (&normal, height.abs()));
-    let stated = plane.height_std_at(&foot.unwrap_or(plane.point));
+    let contact = contact_point(background, image, &object_pixels, (&normal, height.abs()));
+    let std_at_contact = plane.height_std_at(&contact.unwrap_or(plane.point));
     Ok(GroundPlane {
         normal,
         point: plane.point,
@@ -159,30 +159,32 @@ fn plane_of_frame(
         num_inliers: plane.num_inliers,
         rms: plane.rms,
         basis: PlaneBasis::Points,
-        height_std: stated.hypot(UNEVENNESS * plane.rms),
+        height_std: std_at_contact.hypot(UNEVENNESS * plane.rms),
         common_height_std: UNEVENNESS * plane.rms,
         tilt_std: plane.tilt_std(),
     })
 }
 
-/// Where the lowest of the rays through the given pixels meets a plane, which is given by its normal and the camera's
-/// height over it; `None` where the horizon lies below all of them.
-pub(super) fn lowest_foot(
+/// Intersection of the lowest of the rays through the given pixels with a plane: the contact point of an object.
+///
+/// The plane is given by its normal and the height of the camera over it. `None` where all rays are above its horizon.
+pub(super) fn contact_point(
     background: &Reconstruction,
     image: &Image,
     pixels: &[Point2<f64>],
     (normal, height): (&Vector3<f64>, f64),
 ) -> Option<Point3<f64>> {
     let camera = background.camera_of(image);
-    let turned = image.cam_from_world.rotation.inverse();
-    let rays = pixels.iter().map(|pixel| turned * camera.normalized_from_pixel(*pixel).push(1.0));
+    let world_from_cam = image.cam_from_world.rotation.inverse();
+    let rays = pixels.iter().map(|pixel| world_from_cam * camera.normalized_from_pixel(*pixel).push(1.0));
     let lowest = rays.min_by(|a, b| normal.dot(a).total_cmp(&normal.dot(b)))?;
-    let sinking = -normal.dot(&lowest);
-    (sinking > 0.0).then(|| image.cam_from_world.center() + lowest * (height / sinking))
+    let descent = -normal.dot(&lowest);
+    (descent > 0.0).then(|| image.cam_from_world.center() + lowest * (height / descent))
 }
 
-/// P of eq. 3: different ground points, the nearest of every object observation, then the second nearest of every one,
-/// and so on, until there are `num_neighbors` of them or no more.
+/// P of eq. 3: the nearest ground points of all object observations.
+///
+/// Each round adds the next nearest of every observation, until there are `num_neighbors` distinct points or no more.
 fn points_around(
     object_pixels: &[Point2<f64>],
     ground: &[(Point2<f64>, Point3dId)],
@@ -192,7 +194,7 @@ fn points_around(
     let Some(tree) = Neighbors::new(&positions) else { return BTreeSet::new() };
     let mut reach = 4.min(num_neighbors);
     loop {
-        // A few rounds are often enough; asking for all fifty neighbours of every observation would be waste.
+        // A few rounds often suffice; a query of all fifty neighbors of every observation would be wasteful.
         let nearest: Vec<_> = object_pixels.iter().map(|pixel| tree.nearest(&[pixel.x, pixel.y], reach)).collect();
         let mut around = BTreeSet::new();
         for round in 0..reach {
@@ -217,13 +219,13 @@ mod tests {
         local_planes(&world.background, ground, ObjectId(1), &world.object, &Options::default(), 7)
     }
 
-    /// Largest tilt (radians) and largest height error below the vehicle (metres) over all frames.
+    /// Maximum tilt error (radians) and maximum height error below the vehicle (meters) over all frames.
     fn worst(world: &Drive, found: &LocalPlanes) -> (f64, f64) {
         let unit_m = 1.0 / world.background_from_metric.scale;
         found.planes.iter().fold((0.0_f64, 0.0_f64), |(tilt, height), (frame, plane)| {
             let truth = &world.planes[frame];
-            let off = plane.signed_distance(truth.point) * unit_m;
-            (tilt.max(plane.normal.angle(&truth.normal)), height.max(off.abs()))
+            let error = plane.signed_distance(truth.point) * unit_m;
+            (tilt.max(plane.normal.angle(&truth.normal)), height.max(error.abs()))
         })
     }
 
@@ -241,10 +243,10 @@ mod tests {
     }
 
     #[test]
-    fn noise_and_wrong_labels_cost_little() {
+    fn planes_are_robust_to_noise_and_wrong_labels() {
         let noise = Noise { pixel_px: 0.5, ..Noise::default() };
         let world = drive(&drive::Options { noise, ..Default::default() }, 2);
-        // Every point that is not ground is labelled as ground.
+        // All points are labeled as ground.
         let all: Vec<Point3dId> = world.background.points.keys().copied().collect();
         let found = planes(&world, &all);
         assert!(found.planes.len() >= 58, "{:?}", found.skipped);
@@ -268,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn points_lie_all_round_the_object() {
+    fn selected_points_surround_the_object() {
         // Object observations on a small circle, ground on a grid: the points found surround the circle evenly.
         let object: Vec<_> = (0..24)
             .map(|k| {

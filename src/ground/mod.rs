@@ -1,9 +1,10 @@
-//! Which background points are ground, and what plane the ground is near an object.
+//! Ground points of the background, and local ground planes near an object.
 //!
-//! [`label_points`] lets the labels under a point's observations vote (eq. 2 of `docs/maths/ground.md`);
-//! [`dominant_plane_points`] stands in where there are no labels (eq. 9 to 12). [`local_planes`] fits one plane per
-//! frame to the ground round the object (eq. 3 to 8). Everything is scale free: a background reconstruction has a unit
-//! of its own, so that tolerances are pixels, turned into lengths by the depth at which a point is seen (eq. 1).
+//! [`label_points`] counts the votes of the labels under a point's observations (eq. 2 of `docs/maths/ground.md`).
+//! Without labels, [`dominant_plane_points`] finds the ground by its geometry (eq. 9 to 12). [`local_planes`] fits one
+//! plane per frame to the ground points around the object (eq. 3 to 8). All of it is scale free: the unit of a
+//! background reconstruction is arbitrary, so tolerances are in pixels, converted to lengths by the depth of the
+//! observed point (eq. 1).
 
 mod camera_mount;
 mod chain;
@@ -31,7 +32,7 @@ pub use camera_mount::{Mount, MountFailure, find_mount};
 pub use chain::GroundChain;
 pub use dominant::{DominantPlane, GroundError, dominant_plane_points};
 pub use height::{CameraHeight, HeightFailure, camera_height};
-pub use hovering::{HoveringGround, StatedTilt, TiltContradiction, TiltKind, hovering_ground};
+pub use hovering::{HoveringGround, TiltContradiction, TiltEstimate, TiltKind, hovering_ground};
 pub use labels::label_points;
 pub use local::{LocalPlanes, SkipReason, SkippedFrame, local_planes};
 pub use plane::PlaneFailure;
@@ -82,7 +83,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Rejects what cannot be worked with.
+    /// Rejects values out of range.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -106,7 +107,7 @@ mod tests {
     use crate::synthetic::drive::{self, drive};
 
     #[test]
-    fn options_that_pass_the_check_do_no_harm() {
+    fn valid_options_give_a_plane_or_a_reason_for_every_frame() {
         let small =
             drive::Options { num_frames: 4, num_ground_points: 200, num_other_points: 100, ..Default::default() };
         let world = drive(&small, 1);

@@ -1,10 +1,10 @@
-//! Points as the frames see them that are nearest, and how sure their place is.
+//! Background points in the camera frames nearest to them, with the covariance of their positions.
 
 use nalgebra::{Matrix3, Point3, UnitQuaternion, Vector3};
 
 use crate::scene::{FrameId, Image, Point3dId, Reconstruction};
 
-/// A point in the frame of one camera that sees it.
+/// Point in the frame of one camera that observes it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PointView {
     pub frame: FrameId,
@@ -14,23 +14,23 @@ pub(super) struct PointView {
     cam_from_world: UnitQuaternion<f64>,
 }
 
-/// A point, and the views of the cameras nearest to it.
+/// Point in the frames of the nearest cameras that observe it.
 #[derive(Clone, Debug)]
 pub(super) struct PointObservations {
     pub views: Vec<PointView>,
-    /// Covariance of its place in the world for a noise of one pixel.
+    /// Covariance of its position in the world, for a noise of one pixel.
     covariance: Matrix3<f64>,
 }
 
 impl PointObservations {
-    /// Variance along a direction of a camera's frame, for a noise of one pixel.
+    /// Variance along a direction in a camera's frame, for a noise of one pixel.
     pub(super) fn variance_along(&self, view: &PointView, direction_in_cam: &Vector3<f64>) -> f64 {
         let in_world = view.cam_from_world.inverse() * direction_in_cam;
         in_world.dot(&(self.covariance * in_world)).max(0.0)
     }
 
-    /// The place and its covariance from all rays of a track, whatever its length: (Σ (1 − d dᵀ) f² / z²)⁻¹, d the
-    /// ray's direction (eq. 14). `None` for a point that no two rays fix.
+    /// Views of a point, and its covariance from all rays of its track: (Σ (1 − d dᵀ) f² / l²)⁻¹, d and l the
+    /// direction and length of a ray (eq. 14). `None` where the rays do not determine the position.
     fn of(background: &Reconstruction, position: Point3<f64>, images: &[(FrameId, &Image)]) -> Option<Self> {
         let mut information = Matrix3::zeros();
         let mut views = Vec::new();
@@ -47,19 +47,22 @@ impl PointObservations {
         }
         let covariance = information.try_inverse().filter(|c| c.iter().all(|x| x.is_finite()))?;
         views.sort_by(|a, b| a.in_cam.z.total_cmp(&b.in_cam.z));
-        // More say nothing new of it.
+        // Further views add little information.
         views.truncate(8);
         (!views.is_empty()).then_some(Self { views, covariance })
     }
 }
 
-/// All points of a background that `is_wanted`, ascending by id.
-pub(super) fn sightings(background: &Reconstruction, is_wanted: impl Fn(Point3dId) -> bool) -> Vec<PointObservations> {
+/// All points of a background for which `is_wanted` is true, ascending by id.
+pub(super) fn point_observations(
+    background: &Reconstruction,
+    is_wanted: impl Fn(Point3dId) -> bool,
+) -> Vec<PointObservations> {
     let wanted = background.points.iter().filter(|(id, _)| is_wanted(**id));
     wanted
         .filter_map(|(_, point)| {
-            let seen = point.track.iter().map(|element| element.image);
-            let images: Vec<_> = seen.filter_map(|id| Some((id.frame(), background.images.get(&id)?))).collect();
+            let observing = point.track.iter().map(|element| element.image);
+            let images: Vec<_> = observing.filter_map(|id| Some((id.frame(), background.images.get(&id)?))).collect();
             PointObservations::of(background, point.position, &images)
         })
         .collect()

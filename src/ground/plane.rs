@@ -1,9 +1,9 @@
-//! A plane through points, some of which do not belong to it.
+//! Robust fit of a plane to points with outliers.
 //!
-//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): a
-//! point counts 1 − (d / ε)² within its tolerance ε, nothing beyond. Then least squares on the inliers: the plane
-//! through their centroid whose normal is the direction of least variance, repeated until the inliers stay the same.
-//! Equations 4 to 8 of `docs/maths/ground.md`.
+//! RANSAC (Fischler and Bolles, 1981) over samples of three points, scored as in MSAC (Torr and Zisserman, 2000): the
+//! score of a point is 1 − (d / ε)² within its tolerance ε, and 0 beyond. Then least squares on the inliers: the plane
+//! through their centroid whose normal is the direction of least variance, repeated until the number of inliers is
+//! stable. Equations 4 to 8 of `docs/maths/ground.md`.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 use rand::Rng as _;
@@ -11,39 +11,39 @@ use thiserror::Error;
 
 use crate::math::{Rng, symmetric_eigen};
 
-/// Distance of the ground below an object from the plane of the points round it, as a share of their distances: kerbs
-/// and cambers do not average out.
+/// Distance of the ground below an object from the plane of the points around it, as a share of the RMS distance of
+/// these points: curbs and cambers do not average out.
 pub(super) const UNEVENNESS: f64 = 0.5;
 
-/// A point and the distance from the plane up to which it counts as part of it (eq. 1).
+/// Point with its tolerance, the maximum distance of an inlier from the plane (eq. 1).
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Candidate {
     pub position: Point3<f64>,
     pub tolerance: f64,
 }
 
-/// Why there is no plane.
+/// Reason why there is no plane.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum PlaneFailure {
-    /// Too few points lie on any one plane.
+    /// Too few points are on any plane.
     #[error("only {found} of {num_points} ground points are on one plane; at least {needed} needed")]
     TooFewInliers {
-        /// On the best plane.
+        /// Number of inliers of the best plane.
         found: usize,
-        /// Points looked at.
+        /// Number of points.
         num_points: usize,
-        /// Fewest that make a plane.
+        /// Minimum number of inliers of a plane.
         needed: usize,
     },
-    /// The points form a line, so that the plane can turn about it.
+    /// The points are nearly collinear, so the plane could rotate about their line.
     #[error("the {num_points} ground points form a strip too narrow to determine the tilt of the plane")]
     Narrow {
-        /// Points on the strip.
+        /// Number of inliers.
         num_points: usize,
     },
 }
 
-/// A fitted plane; the sign of the normal is arbitrary.
+/// Fitted plane; the sign of the normal is arbitrary.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Plane {
     pub normal: Vector3<f64>,
@@ -52,15 +52,14 @@ pub(super) struct Plane {
     pub rms: f64,
     /// Variance of the height at `point` (eq. 13).
     height_var: f64,
-    /// Two directions in the plane at right angles, and the variance of the slope along each.
+    /// Two orthogonal directions in the plane, and the variance of the slope along each.
     slopes: [(Vector3<f64>, f64); 2],
 }
 
-/// Factor on standard deviations of slopes by the scatter of points alone: what does not average out in the height does
-/// not in them.
+/// Factor on the standard deviation of a slope for errors that do not average out, as in the height.
 ///
-/// * `height_std` – standard deviation of the height by the scatter alone.
-/// * `rms` – of the distances of the points.
+/// * `height_std` – standard deviation of the height by the scatter of the points alone.
+/// * `rms` – RMS distance of the points from the plane.
 pub(super) fn common_factor(height_std: f64, rms: f64) -> f64 {
     (UNEVENNESS * rms / height_std.max(f64::MIN_POSITIVE)).hypot(1.0)
 }
@@ -70,27 +69,27 @@ impl Plane {
         self.normal.dot(&(point - self.point))
     }
 
-    /// Standard deviation of the larger of the two slopes, radians, with what does not average out.
+    /// Larger standard deviation of the two slopes, radians, including errors that do not average out.
     pub(super) fn tilt_std(&self) -> f64 {
         let slope_std = self.slopes[0].1.max(self.slopes[1].1).sqrt();
         slope_std * common_factor(self.height_var.sqrt(), self.rms)
     }
 
-    /// Standard deviation of the height at a place of the plane.
-    pub(super) fn height_std_at(&self, place: &Point3<f64>) -> f64 {
-        let away = place - self.point;
-        let tilted = self.slopes.iter().map(|(direction, var)| direction.dot(&away).powi(2) * var);
+    /// Standard deviation of the height at a position on the plane.
+    pub(super) fn height_std_at(&self, position: &Point3<f64>) -> f64 {
+        let offset = position - self.point;
+        let tilted = self.slopes.iter().map(|(direction, var)| direction.dot(&offset).powi(2) * var);
         (self.height_var + tilted.sum::<f64>()).sqrt()
     }
 
-    fn holds(&self, candidate: &Candidate) -> bool {
+    fn is_inlier(&self, candidate: &Candidate) -> bool {
         self.distance(&candidate.position).abs() <= candidate.tolerance
     }
 }
 
-/// The plane that the most points agree on.
+/// Fits a plane by RANSAC, then by least squares on the inliers.
 ///
-/// `score` judges a plane given the sum of MSAC scores: it can prefer some directions (weights) or rule them out (≤ 0).
+/// `score` is the score of a plane given the sum of its MSAC scores: it can weight orientations, or exclude them (≤ 0).
 pub(super) fn fit_plane(
     points: &[Candidate],
     min_inliers: usize,
@@ -125,19 +124,19 @@ pub(super) fn fit_plane(
         .ok_or(PlaneFailure::Narrow { num_points: plane.num_inliers })
 }
 
-/// Samples until a plane with more inliers is less likely than 1 in 10,000 (eq. 6).
+/// Number of samples after which a better plane is missed with a probability below 1 in 10,000 (eq. 6).
 fn samples_needed(inlier_share: f64) -> usize {
     let all_inliers = inlier_share.powi(3).clamp(1e-9, 1.0 - 1e-9);
     (1e-4_f64.ln() / (-all_inliers).ln_1p()).ceil() as usize
 }
 
-/// Three points drawn at random; `None` if they lie too nearly on a line (eq. 4).
+/// Plane through three random points; `None` if they are nearly collinear (eq. 4).
 fn through_sample(points: &[Candidate], rng: &mut Rng) -> Option<Plane> {
     let mut draw = || points[rng.random_range(0..points.len())].position;
     let (a, b, c) = (draw(), draw(), draw());
     let (ab, ac) = (b - a, c - a);
     let normal = ab.cross(&ac);
-    // A triangle thinner than 1 in 100 says little about its plane; equal draws have no area at all.
+    // A triangle thinner than 1 in 100 hardly determines its plane; equal draws have no area.
     let is_wide = normal.norm() > 0.01 * ab.norm_squared().max(ac.norm_squared());
     is_wide.then(|| Plane {
         normal: normal.normalize(),
@@ -157,25 +156,27 @@ fn support(points: &[Candidate], plane: &Plane) -> (f64, usize) {
     })
 }
 
-/// Least squares on the inliers, until they settle; `None` if they lie in too narrow a strip.
+/// Repeats least squares on the inliers until their number is stable; `None` if they are nearly collinear.
 fn refine(points: &[Candidate], start: Plane) -> Option<Plane> {
     let mut plane = start;
     for _ in 0..10 {
-        let inliers: Vec<Candidate> = points.iter().copied().filter(|c| plane.holds(c)).collect();
+        let inliers: Vec<Candidate> = points.iter().copied().filter(|c| plane.is_inlier(c)).collect();
         let next = least_squares_plane(&inliers)?;
-        let num_inliers = points.iter().filter(|c| next.holds(c)).count();
-        let has_settled = num_inliers == inliers.len();
+        let num_inliers = points.iter().filter(|c| next.is_inlier(c)).count();
+        let is_stable = num_inliers == inliers.len();
         plane = Plane { num_inliers, ..next };
-        if has_settled {
+        if is_stable {
             break;
         }
     }
     Some(plane)
 }
 
-/// The plane of least summed squared distance (eq. 7). Points count by the inverse square of their tolerance, which is
-/// proportional to their standard deviation. `None` for fewer than three points, or when they are spread by less than
-/// their tolerance in all directions but one (eq. 8).
+/// Least-squares plane (eq. 7).
+///
+/// Points are weighted by the inverse square of their tolerance, which is proportional to their standard deviation.
+/// `None` for fewer than three points, or if they are spread by less than their tolerance in all directions but one
+/// (eq. 8).
 pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
     if points.len() < 3 {
         return None;
@@ -192,7 +193,7 @@ pub(super) fn least_squares_plane(points: &[Candidate]) -> Option<Plane> {
     let mean_tolerance_sq = points.len() as f64 / total;
     let is_wide = eigen.eigenvalues[order[1]] > mean_tolerance_sq;
     let rms = (points.iter().map(|c| normal.dot(&offset(c)).powi(2)).sum::<f64>() / points.len() as f64).sqrt();
-    // Residuals in tolerances; three numbers were fitted to them.
+    // Residuals in tolerances, with three degrees of freedom less.
     let squares = points.iter().map(|c| normal.dot(&offset(c)).powi(2) * weight(c)).sum::<f64>();
     let height_var = squares / (points.len() as f64 - 3.0).max(1.0) / total;
     let slope = |k: usize| (eigen.eigenvectors.column(order[k]).into_owned(), height_var / eigen.eigenvalues[order[k]]);
@@ -234,9 +235,9 @@ mod tests {
     fn curbs_do_not_average_out() {
         // A road 4 m wide and a sidewalk of 2 m that is 12 cm higher.
         let mut rng = seeded_rng(5, 0);
-        let mut place = || (rng.random_range(-4.0..4.0), rng.random_range(-2.0..4.0), rng.random_range(-0.02..0.02));
+        let mut position = || (rng.random_range(-4.0..4.0), rng.random_range(-2.0..4.0), rng.random_range(-0.02..0.02));
         let height = |y: f64| if y > 2.0 { 0.12 } else { 0.0 };
-        let points = (0..50).map(|_| place()).map(|(x, y, noise)| Point3::new(x, y, height(y) + noise));
+        let points = (0..50).map(|_| position()).map(|(x, y, noise)| Point3::new(x, y, height(y) + noise));
         let points: Vec<_> = points.map(|position| Candidate { position, tolerance: 0.2 }).collect();
         let plane = fit(&points).unwrap();
         let tilt = plane.normal.cross(&Vector3::z()).norm();

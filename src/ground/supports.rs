@@ -1,56 +1,57 @@
-//! Numbers of points on planes of one inclination, for many heights at once (eq. 5 of `docs/maths/ground.md`).
+//! Support of parallel planes by points, for many heights at once (eq. 5 of `docs/maths/ground.md`).
 //!
-//! What a place adds is a parabola in the height between two heights, and nothing beyond. A sum of parabolas is one, so
-//! that one pass through the places serves all heights: each adds its coefficients at the first height that it
-//! supports, and takes them back behind the last.
+//! The score of an observation is a parabola in the height between two limits, and 0 beyond. A sum of parabolas is a
+//! parabola, so one pass over the observations serves all heights: each adds its coefficients at the first height that
+//! it supports, and subtracts them after the last.
 
 use super::trajectory_plane::{Fit, Track};
 use crate::scene::FrameId;
 
-/// One sight of a point, as a plane of a given inclination asks for it.
+/// Observation of a point in relation to planes of one inclination.
 struct SupportObservation {
     frame: FrameId,
-    /// The height of the camera over a plane through it.
+    /// Height of the camera over the plane through the point.
     height: f64,
-    /// Maximum distance from the plane.
+    /// Maximum distance of an inlier from the plane.
     tolerance: f64,
-    /// Weight where it lies on the plane.
+    /// Score at zero distance.
     weight: f64,
 }
 
-/// The places of many points.
+/// Observations of many points.
 pub(super) struct Supports(Vec<SupportObservation>);
 
 impl Supports {
     pub(super) fn new<'a>(tracks: impl IntoIterator<Item = &'a Track>, fit: &Fit) -> Self {
-        let slope = fit.slope();
+        let along_normal = fit.along_normal();
         let of_track = |track: &'a Track| {
-            let slope = &slope;
-            let share = 1.0 / track.places.len() as f64;
-            track.places.iter().map(move |place| SupportObservation {
-                frame: place.frame,
-                height: -slope(&place.at),
-                tolerance: place.tolerance,
-                weight: share * place.sureness,
+            let along_normal = &along_normal;
+            let share = 1.0 / track.observations.len() as f64;
+            track.observations.iter().map(move |observation| SupportObservation {
+                frame: observation.frame,
+                height: -along_normal(&observation.at),
+                tolerance: observation.tolerance,
+                weight: share * observation.certainty,
             })
         };
         Self(tracks.into_iter().flat_map(of_track).collect())
     }
 
-    /// The support of each of some ascending heights, where the camera's height is `course` times as much: a positive
-    /// factor by frame.
-    pub(super) fn supports(&self, heights: &[f64], course: impl Fn(FrameId) -> f64) -> Vec<f64> {
+    /// Returns the support at each of the heights, which must ascend.
+    ///
+    /// * `profile` – positive factor on the camera's height by frame.
+    pub(super) fn at_heights(&self, heights: &[f64], profile: impl Fn(FrameId) -> f64) -> Vec<f64> {
         let Some(&middle) = heights.get(heights.len() / 2) else { return Vec::new() };
         let mut changes = vec![[0.0; 3]; heights.len() + 1];
-        for place in &self.0 {
-            let factor = course(place.frame);
-            let (at, reach) = (place.height / factor, place.tolerance / factor);
+        for observation in &self.0 {
+            let factor = profile(observation.frame);
+            let (at, reach) = (observation.height / factor, observation.tolerance / factor);
             let first = heights.partition_point(|height| *height <= at - reach);
             let end = first + heights[first..].partition_point(|height| *height < at + reach);
             if first < end {
-                // In heights over the middle one, so that little is lost where parabolas are taken back.
-                let (at, curvature) = (at - middle, place.weight / (reach * reach));
-                let terms = [place.weight - curvature * at * at, 2.0 * curvature * at, -curvature];
+                // Relative to the middle height, which limits the cancellation where coefficients are subtracted.
+                let (at, curvature) = (at - middle, observation.weight / (reach * reach));
+                let terms = [observation.weight - curvature * at * at, 2.0 * curvature * at, -curvature];
                 (0..3).for_each(|k| changes[first][k] += terms[k]);
                 (0..3).for_each(|k| changes[end][k] -= terms[k]);
             }
@@ -68,33 +69,33 @@ impl Supports {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ground::trajectory_plane::Place;
+    use crate::ground::trajectory_plane::TrackObservation;
     use crate::math::seeded_rng;
     use nalgebra::{Matrix3, Vector3};
     use rand::Rng as _;
 
     #[test]
-    fn all_heights_at_once_are_supported_as_each_by_itself() {
+    fn support_of_all_heights_equals_that_of_each_height() {
         let mut rng = seeded_rng(4, 0);
         let fit = Fit { height: 1.5, roll: 0.02, pitch: -0.01, covariance: Matrix3::zeros() };
         let mut track = |k: u32| {
-            let mut place = |frame: u32, tolerance: f64| {
+            let mut observation = |frame: u32, tolerance: f64| {
                 let at = Vector3::new(rng.random_range(-2.5..-0.5), rng.random_range(-4.0..4.0), 9.0);
-                Place { at, frame: FrameId(frame), tolerance, std: 0.02, sureness: 0.5 + tolerance }
+                TrackObservation { at, frame: FrameId(frame), tolerance, std: 0.02, certainty: 0.5 + tolerance }
             };
-            Track { places: vec![place(k, 0.3), place(k + 1, 0.05)] }
+            Track { observations: vec![observation(k, 0.3), observation(k + 1, 0.05)] }
         };
         let tracks: Vec<Track> = (0..200).map(&mut track).collect();
         let heights: Vec<f64> = (0..40).map(|k| 0.75 + 0.05 * f64::from(k)).collect();
-        let course = |frame: FrameId| 1.0 + 0.002 * f64::from(frame.0);
-        let found = Supports::new(&tracks, &fit).supports(&heights, course);
+        let profile = |frame: FrameId| 1.0 + 0.002 * f64::from(frame.0);
+        let found = Supports::new(&tracks, &fit).at_heights(&heights, profile);
         for (height, found) in heights.iter().zip(&found) {
-            let slope = fit.slope();
-            let one = |track: &Track| track.score(&slope, |frame| height * course(frame)).0;
+            let along_normal = fit.along_normal();
+            let one = |track: &Track| track.score(&along_normal, |frame| height * profile(frame)).0;
             let expected: f64 = tracks.iter().map(one).sum();
             assert!((found - expected).abs() < 1e-9, "{height}: {found} {expected}");
         }
         assert!(found.iter().any(|support| *support > 3.0));
-        assert!(Supports::new(&tracks, &fit).supports(&[], course).is_empty());
+        assert!(Supports::new(&tracks, &fit).at_heights(&[], profile).is_empty());
     }
 }

@@ -242,7 +242,7 @@ impl Perception {
         let is_due = |k: usize| frame.time_s - self.looked_s[k] >= (1.0 - EARLY) * periods_s[k];
         let [detects, segments] = [is_due(0), is_due(1)];
         let flow = match &self.previous {
-            Some(previous) => Some(self.flow.flow(previous, picture, &self.tracker.places())?),
+            Some(previous) => Some(self.flow.flow(previous, picture, &self.tracker.flow_regions())?),
             None => None,
         };
         let mut by = BoxSource::Motion;
@@ -257,8 +257,8 @@ impl Perception {
         if segments {
             self.looked_s[1] = frame.time_s;
         }
-        let prompter = if segments { Some(&mut *self.segmenter as &mut dyn BoxSegmenter) } else { None };
-        let input = FrameInput { found, by, prompter };
+        let segmenter = if segments { Some(&mut *self.segmenter as &mut dyn BoxSegmenter) } else { None };
+        let input = FrameInput { found, by, segmenter };
         self.masks = self.tracker.advance(frame, picture, input, flow.as_ref())?;
         self.previous = Some(picture.clone());
         self.tracker.take_finished();
@@ -272,7 +272,7 @@ impl Perception {
     fn background(&self, size: (u32, u32)) -> Mask {
         let mut mask = Mask::full(size.0, size.1);
         let margin = f64::from(self.masking.dilation_px(size));
-        for rect in self.boxes.iter().map(|found| found.rect).chain(self.tracker.places()) {
+        for rect in self.boxes.iter().map(|found| found.rect).chain(self.tracker.flow_regions()) {
             let rect = Rect { x0: rect.x0 - margin, y0: rect.y0 - margin, x1: rect.x1 + margin, y1: rect.y1 + margin };
             mask.fill_rect(&rect, false);
         }

@@ -24,7 +24,7 @@ use crate::scene::{
     Frame, FrameId, GroundPosition, Image, ImageId, Motion, Movement, NoContact, ObjectId, Reconstruction, Rect,
 };
 use crate::tracking::TrackedMask;
-use crate::tracking::merging::{Pair, same};
+use crate::tracking::merging::{Pair, identity_score};
 use crate::trajectory::{
     CommonStd, ContactEvidence, Contacts, FocalError, Outlines, PositionError, PositionMeasurement, contacts, smooth,
 };
@@ -124,7 +124,7 @@ impl Vehicles {
         let gap_s =
             first_s - time_s(lost.rects.keys().rev().find(|frame| time_s(frame).is_some_and(|s| s < first_s))?)?;
         let pair = Pair { before: 0, after: 1, gap_s, evidence: after.evidence, is_turned: false };
-        same(&pair).ok().and(lost.identity.as_ref()).map(|lost| lost.id)
+        identity_score(&pair).ok().and(lost.identity.as_ref()).map(|lost| lost.id)
     }
 
     /// Tracks points of the vehicles inside their masks.

@@ -1,26 +1,26 @@
 //! Agreement of a calibration with a model: residuals with the calibration held and with it adjusted.
 //!
-//! A calibration that is off by a percent bends a map at residuals that are hardly larger than before, so that the
-//! residuals alone do not show it. With C_held and C_adjusted, ½ Σ ρ of the observations at the two minima, and
-//! observations that err together ([`COMMON_ERROR_FACTOR`] F), the gain
+//! A calibration error of a percent deforms a map at residuals that are hardly larger, so the residuals alone do not
+//! reveal it. With C_held and C_adjusted, ½ Σ ρ of the observations at the two minima, and correlated errors of the
+//! observations ([`COMMON_ERROR_FACTOR`] F), the gain
 //!
 //! ```text
 //! 2 (C_held − C_adjusted) / (F σ)²
 //! ```
 //!
-//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is right. The prior
-//! decides where the second minimum is, and is no part of its cost: it would hide an error of two of its standard
-//! deviations.
+//! is at most χ² with as many degrees of freedom as there are intrinsics, if the calibration is correct. The prior
+//! determines the position of the second minimum, but is not part of its cost: it would hide an error of two of its
+//! standard deviations.
 //!
-//! An error of a single parameter is lost among five. Each of the focal length, the principal point and the first
-//! coefficient of distortion is therefore tested on its own, too. With C the covariance of the adjusted intrinsics, P
-//! the information of the prior, and δ the change of these parameters,
+//! An error of a single parameter is diluted among five. Each of the focal length, the principal point and the first
+//! distortion coefficient is therefore tested separately, too. With C the covariance of the adjusted intrinsics, P the
+//! information of the prior, and δ the change of these parameters,
 //!
 //! ```text
 //! δᵀ (C − C P C)⁻¹ δ
 //! ```
 //!
-//! is χ² with as many degrees of freedom as δ has elements, if the calibration is right. Parameters that the prior
+//! is χ² with as many degrees of freedom as δ has elements, if the calibration is correct. Parameters that the prior
 //! determines more than the observations do are no evidence.
 
 use nalgebra::{Matrix6, Vector6};
@@ -31,17 +31,17 @@ use crate::bundle::{self, BundleError, COMMON_ERROR_FACTOR, CameraBlock, Problem
 use crate::camera::Camera;
 use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 
-/// Views that are adjusted at most: those in the middle.
-const MOST_VIEWS: usize = 200;
-/// Fewer views show nothing.
-const LEAST_VIEWS: usize = 3;
-/// Three standard deviations of five intrinsics: the gain that chance exceeds in 0.27 % of the cases.
+/// Maximum number of adjusted views: those in the middle.
+const MAX_VIEWS: usize = 200;
+/// Minimum number of views.
+const MIN_VIEWS: usize = 3;
+/// Gain of five intrinsics at three standard deviations: chance exceeds it in 0.27 % of the cases.
 const SIGNIFICANT: f64 = 18.2;
-/// Parameters that are tested on their own, as indices among fx, fy, cx, cy, k1, k2, and three standard deviations of
-/// each: fx and fy are one focal length.
+/// Groups of parameters that are tested separately, as indices among fx, fy, cx, cy, k1, k2, with their χ² at three
+/// standard deviations: fx and fy are one focal length.
 const GROUPS: [(&[usize], f64); 3] = [(&[0], 9.0), (&[2, 3], 11.8), (&[4], 9.0)];
 /// Share of the prior's variance above which the prior determines a parameter more than the observations do.
-const OF_PRIOR: f64 = 0.5;
+const MAX_PRIOR_SHARE: f64 = 0.5;
 
 /// Result of comparing a calibration with a model.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -67,7 +67,7 @@ impl CalibrationFit {
     }
 }
 
-/// Compares the calibration of a camera with a model; `None` where too little of the model is of this camera.
+/// Compares the calibration of a camera with a model; `None` if the model has too few views or points of this camera.
 ///
 /// * `given` – the calibration.
 /// * `known` – its standard deviations.
@@ -82,7 +82,7 @@ pub fn calibration_fit(
 ) -> Result<Option<CalibrationFit>, BundleError> {
     let Some(here) = model.cameras.get(&id).filter(|_| model.can_project(id)) else { return Ok(None) };
     let problem = sample(model, id, here);
-    if problem.poses.len() < LEAST_VIEWS || problem.points.is_empty() {
+    if problem.poses.len() < MIN_VIEWS || problem.points.is_empty() {
         return Ok(None);
     }
     let adjusted = |block: CameraBlock, known: Option<Intrinsics>, sigma_px: f64| {
@@ -113,20 +113,20 @@ pub fn calibration_fit(
     }))
 }
 
-/// Squares of the residuals of the prior, in its standard deviations: its share in the cost of an adjusted camera, χ².
+/// Cost of the prior at the adjusted camera, χ²: squared residuals in standard deviations of the prior.
 fn prior_cost(given: &Camera, known: Intrinsics, adjusted: &Camera) -> f64 {
     let prior = intrinsics_prior::about(given, known, adjusted, 1.0);
     let residuals = adjusted.intrinsics().into_iter().zip(prior.values).zip(prior.sigma);
     residuals.map(|((value, mean), sigma)| ((value - mean) / sigma).powi(2)).sum()
 }
 
-/// Covariance of the intrinsics with the prior, if observations have a standard deviation of one pixel.
+/// Posterior covariance of the intrinsics if observations have a standard deviation of one pixel.
 fn covariance(problem: &Problem, sigma_px: f64) -> Option<Matrix6<f64>> {
     let wanted = Wanted { cameras: vec![0], ..Wanted::default() };
     bundle::covariances(problem, &options(sigma_px), &wanted).ok()?.cameras.first().copied()
 }
 
-/// The largest change of a group of parameters, χ² over its limit; see the module.
+/// Largest change of a group of parameters, χ² over its limit; see the module.
 ///
 /// * `covariance` – of the adjusted intrinsics.
 fn change(given: &Camera, known: Intrinsics, adjusted: &Camera, covariance: &Matrix6<f64>) -> f64 {
@@ -136,7 +136,7 @@ fn change(given: &Camera, known: Intrinsics, adjusted: &Camera, covariance: &Mat
     // The tied focal length has one prior.
     prior[(1, 1)] = 0.0;
     let by_chance = covariance - covariance * prior * covariance;
-    let is_observed = |k: &usize| covariance[(*k, *k)] * prior[(*k, *k)] < OF_PRIOR;
+    let is_observed = |k: &usize| covariance[(*k, *k)] * prior[(*k, *k)] < MAX_PRIOR_SHARE;
     let of_group = |(parameters, limit): &(&[usize], f64)| {
         let block = by_chance.select_rows(*parameters).select_columns(*parameters);
         let change = change.select_rows(*parameters);
@@ -146,12 +146,12 @@ fn change(given: &Camera, known: Intrinsics, adjusted: &Camera, covariance: &Mat
     observed.filter_map(of_group).filter(|change| change.is_finite()).fold(0.0, f64::max)
 }
 
-/// The longest tracks in the middle views of a camera.
+/// Samples the longest tracks in the middle views of a camera.
 fn sample(model: &Reconstruction, id: CameraId, camera: &Camera) -> Problem {
     let all: Vec<(ImageId, &Image)> =
         model.images.iter().filter(|(_, image)| image.camera == id).map(|(id, image)| (*id, image)).collect();
-    let first = all.len().saturating_sub(MOST_VIEWS) / 2;
-    let views = &all[first..all.len().min(first + MOST_VIEWS)];
+    let first = all.len().saturating_sub(MAX_VIEWS) / 2;
+    let views = &all[first..all.len().min(first + MAX_VIEWS)];
     let points = longest_tracks(model, camera, views.iter().map(|(_, image)| *image));
     Problem { cameras: vec![CameraBlock::fixed(*camera)], ..problem_of(model, views, &points, |_| true) }
 }
@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_error_of_one_parameter_is_significant_on_its_own() {
+    fn an_error_of_one_parameter_is_significant() {
         let given = Camera::with_focal(960, 540, 900.0);
         let known = Intrinsics::GIVEN;
         // Posterior standard deviations of 0.3 % of the focal length, 2 px and 0.01.

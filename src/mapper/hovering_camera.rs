@@ -1,4 +1,4 @@
-//! A camera that does not translate: rotations, and what straight lines show of the ground and the focal length.
+//! Camera that does not translate: rotations, and the ground and the focal length from straight lines.
 
 use super::Intrinsics;
 use super::rotating_camera::{RotatingCamera, rotating_camera};
@@ -11,18 +11,18 @@ use crate::features::tracks::TrackTable;
 pub struct HoveringCamera {
     /// Its rotations.
     pub rotations: RotatingCamera,
-    /// The camera, with the focal length by straight lines.
+    /// Its intrinsics, with the focal length estimated from straight lines.
     pub camera: Camera,
     /// Standard deviation of the focal length's logarithm.
     pub focal_std: f64,
-    /// The ground's normal; `None` where straight lines show none.
+    /// The ground's normal; `None` if straight lines do not determine it.
     pub by_lines: Option<LineNormal>,
 }
 
-/// Error of a turn between views by a wrong focal length that no line shows, radians.
-const SMALL_TURN: f64 = 0.002;
+/// Maximum error of a rotation between views by a wrong focal length that lines do not show, radians.
+const SMALL_ROTATION: f64 = 0.002;
 
-/// The camera of views that rotations explain; `None` for others.
+/// Estimates the camera of views that only rotate; `None` where rotations do not explain them.
 ///
 /// * `lines` – of some of the views.
 /// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
@@ -39,9 +39,9 @@ pub fn hovering_camera(
         return Some(HoveringCamera { rotations, camera: *camera, focal_std, by_lines: None });
     };
     let rotations = rotating_camera(table, &camera.zoomed(log_focal[0].exp()))?;
-    // Turns between the views depend on the focal length.
-    let turn = posed.iter().map(|(pose, _)| pose.angle_to(&posed[0].0)).fold(0.0, f64::max);
-    if turn * log_focal[0].abs() > SMALL_TURN {
+    // The rotations between the views depend on the focal length.
+    let rotation = posed.iter().map(|(pose, _)| pose.angle_to(&posed[0].0)).fold(0.0, f64::max);
+    if rotation * log_focal[0].abs() > SMALL_ROTATION {
         let posed = rotated(lines, table, &rotations);
         (normal, log_focal) = horizon(&posed, camera, focal_std).unwrap_or((normal, log_focal));
     }
@@ -49,7 +49,7 @@ pub fn hovering_camera(
     Some(HoveringCamera { rotations, camera, focal_std: log_focal[1], by_lines: Some(normal) })
 }
 
-/// The segments of views that have a rotation.
+/// Segments of the views that have a rotation.
 fn rotated<'a>(lines: &'a [ImageLines], table: &TrackTable, rotations: &RotatingCamera) -> Vec<ViewSegments<'a>> {
     let with_rotation = |lines: &'a ImageLines| {
         let mut views = table.views.iter().zip(&rotations.poses);

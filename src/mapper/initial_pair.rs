@@ -1,4 +1,4 @@
-//! The pair of views that starts a map: many common points, a wide angle, and not one plane or a mere turn.
+//! Initial pair of a map: many common points, a large triangulation angle, and neither a plane nor a pure rotation.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::features::tracks::{Feature, Track, TrackTable, View};
 use crate::geometry::two_view::{self, Correspondences, TwoViewGeometry};
 use crate::math::{Rigid3, upper_median};
 
-/// A candidate start.
+/// Candidate for the initial pair.
 #[derive(Clone, Debug)]
 pub struct InitialPair {
     /// Its two views.
@@ -20,18 +20,19 @@ pub struct InitialPair {
     pub cam2_from_cam1: Rigid3,
 }
 
-/// So many views are tried as partners; of longer sequences they are chosen evenly.
+/// Maximum number of views that are paired; those of longer sequences are evenly spaced.
 const MAX_VIEWS: usize = 48;
-/// Views that are tried lie no farther apart, however long the video is: tracks end after 96, and views farther apart
-/// than those live have nothing in common.
+/// Maximum number of views from one paired view to the next, however long the video is: tracks end after 96 views, and
+/// views farther apart have no common track.
 const MAX_STEP: usize = 24;
-/// Median displacement of the common points below which two views count as one: whatever geometry fits is noise.
+/// Median displacement of the common points below which two views count as one: any two-view geometry fits noise.
 const MIN_DISPLACEMENT_PX: f64 = 0.5;
-/// Pairs whose geometry is estimated.
+/// Maximum number of pairs whose geometry is estimated.
 const MAX_ESTIMATED: usize = 60;
 
-/// Candidate starts, best first, and what all pairs tell of the motion. No start when no pair has enough common points
-/// with any angle between them.
+/// Candidates for the initial pair, best first, and the survey of the motion of all pairs.
+///
+/// There is no candidate if no pair has enough common points at a sufficient angle.
 pub fn ranked(
     table: &TrackTable,
     cameras: &[Camera],
@@ -47,11 +48,11 @@ pub fn ranked(
             let geometry = geometry_of(table, cameras, options, seed, views, &tracks)?;
             let of_views = views.map(|view| table.views[view].camera);
             let intrinsics = known.of_pair(of_views);
-            let score = score(&geometry, options) * worth_of_cameras(of_views, intrinsics);
+            let score = score(&geometry, options) * camera_weight(of_views, intrinsics);
             let pair = InitialPair { views, cam2_from_cam1: geometry.cam2_from_cam1 };
-            let motion = motion::of_pair(&geometry, intrinsics);
+            let motion = motion::classify(&geometry, intrinsics);
             survey.add(motion);
-            let usable = motion == PairMotion::Other
+            let usable = motion == PairMotion::General
                 && geometry.inliers.len() >= options.min_initial_inliers
                 && geometry.median_angle >= options.min_angle_deg.to_radians();
             usable.then_some((score, pair))
@@ -61,8 +62,10 @@ pub fn ranked(
     (distinct(estimated.into_iter().map(|(_, pair)| pair)), survey)
 }
 
-/// Inliers count up to a number that determines the geometry well, angles up to the wanted one; a start that one
-/// homography explains is worth a fraction.
+/// Score of a candidate.
+///
+/// Inliers count up to a number that determines the geometry well, angles up to the wanted one. A pair that one
+/// homography explains scores a fraction.
 fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
     // Beyond 300 the angle decides, not the number.
     let inliers = (geometry.inliers.len() as f64).min(300.0).sqrt();
@@ -70,29 +73,31 @@ fn score(geometry: &TwoViewGeometry, options: &Options) -> f64 {
     inliers * angle * (1.0 - 0.7 * geometry.homography_ratio.min(1.0))
 }
 
-/// A pair of two cameras whose focal lengths are both guessed, each wrong by another factor, is worth less than one of
-/// a single camera, which a common factor does little harm.
-fn worth_of_cameras([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
+/// Weight of a pair by its cameras.
+///
+/// Guessed focal lengths of two cameras are wrong by different factors. Such a pair scores less than one of a single
+/// camera, where a common factor does little harm.
+fn camera_weight([first, second]: [usize; 2], intrinsics: Intrinsics) -> f64 {
     // A pair of one camera wins unless it has a quarter of the inliers.
     if first != second && intrinsics.focal >= Intrinsics::GUESSED.focal { 0.5 } else { 1.0 }
 }
 
-/// Two views, and the tracks that they have in common.
+/// Two views and their common tracks.
 type PairTracks = ([usize; 2], Vec<usize>);
 
-/// Distance of the views that are tried as partners.
+/// Number of views from one paired view to the next.
 fn step(num_views: usize) -> usize {
     num_views.div_ceil(MAX_VIEWS).clamp(1, MAX_STEP)
 }
 
-/// Tracks that two views have in common, for pairs of every `step`th view, at most `furthest` views apart, with enough
-/// of them.
-pub fn common_tracks(table: &TrackTable, step: usize, furthest: usize, min_common: usize) -> Vec<PairTracks> {
+/// Common tracks of the pairs of every `step`th view that are at most `max_separation` views apart and have enough of
+/// them.
+pub fn common_tracks(table: &TrackTable, step: usize, max_separation: usize, min_common: usize) -> Vec<PairTracks> {
     let mut common: BTreeMap<[usize; 2], Vec<usize>> = BTreeMap::new();
     for (index, track) in table.tracks.iter().enumerate() {
         let views: Vec<usize> = track.iter().map(|f| f.view as usize).filter(|v| v % step == 0).collect();
         for (i, &a) in views.iter().enumerate() {
-            for &b in views[i + 1..].iter().take_while(|b| **b - a <= furthest) {
+            for &b in views[i + 1..].iter().take_while(|b| **b - a <= max_separation) {
                 common.entry([a, b]).or_default().push(index);
             }
         }
@@ -100,14 +105,16 @@ pub fn common_tracks(table: &TrackTable, step: usize, furthest: usize, min_commo
     common.into_iter().filter(|(_, tracks)| tracks.len() >= min_common).collect()
 }
 
-/// The pairs with the largest product of common points (up to a number that suffices) and median displacement, which
-/// represents the baseline until the geometry is known. Pairs between which nothing moves are only counted.
+/// Selects the pairs with the largest product of common points and median displacement.
+///
+/// Common points count up to a sufficient number. The displacement represents the baseline until the geometry is known.
+/// Pairs without displacement are only counted.
 fn promising(table: &TrackTable, cameras: &[Camera], common: Vec<PairTracks>, survey: &mut Survey) -> Vec<PairTracks> {
     let mut rate = |(views, tracks): PairTracks| {
         let median = median_displacement(table, cameras, &tracks, views)?;
         let count = (tracks.len() as f64).min(400.0);
         if median < MIN_DISPLACEMENT_PX {
-            survey.add(PairMotion::Still);
+            survey.add(PairMotion::Stationary);
             return None;
         }
         Some((count.sqrt() * median.sqrt(), (views, tracks)))
@@ -122,12 +129,12 @@ fn promising(table: &TrackTable, cameras: &[Camera], common: Vec<PairTracks>, su
     front.into_iter().chain(spread).map(|(_, (_, pair))| pair).collect()
 }
 
-/// Returns true if the common tracks of two views show no parallax between them.
-pub fn is_still(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> bool {
+/// Returns true if the common tracks of two views have no displacement, or there are none.
+pub fn has_no_displacement(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> bool {
     median_displacement(table, cameras, tracks, views).is_none_or(|median| median < MIN_DISPLACEMENT_PX)
 }
 
-/// In pixels; of views of two cameras, in those of the first.
+/// Median displacement of common tracks, pixels of the first camera.
 fn median_displacement(table: &TrackTable, cameras: &[Camera], tracks: &[usize], views: [usize; 2]) -> Option<f64> {
     let [first, second] = views.map(|view| table.views[view].camera);
     let displacement = |&track: &usize| {
@@ -154,7 +161,7 @@ pub fn geometry_of(
     two_view::estimate(&pairs, options.max_pose_error_px / mean_focal, &mut two_view::pair_rng(seed, views))
 }
 
-/// Positions in two views of the tracks that they have in common, and the geometric mean of the focal lengths.
+/// Positions of common tracks in two views, and the geometric mean of the focal lengths.
 pub fn correspondences(
     views: &[View],
     tracks: &[Track],
@@ -167,7 +174,7 @@ pub fn correspondences(
     (Correspondences::new(cameras, pixels), two_view::mean_focal(cameras))
 }
 
-/// Where two views show a track.
+/// Positions of a track in two views.
 fn pixels_in(views: &[View], track: &[Feature], pair: [usize; 2]) -> Option<[Point2<f64>; 2]> {
     let pixel = |view: usize| {
         let feature = track.iter().find(|f| f.view as usize == view)?;
@@ -176,9 +183,10 @@ fn pixels_in(views: &[View], track: &[Feature], pair: [usize; 2]) -> Option<[Poi
     Some([pixel(pair[0])?, pixel(pair[1])?])
 }
 
-/// The same pairs in another order: first the best of every neighbourhood, best first, then all others. Two pairs are
-/// neighbours if both their first and their second views lie less than a sixth of all views apart.
-pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<InitialPair> {
+/// Reorders pairs: first the best of every neighborhood, best first, then all others.
+///
+/// Two pairs are neighbors if both their first and their second views are less than a sixth of all views apart.
+pub fn diversified(pairs: Vec<InitialPair>, num_views: usize) -> Vec<InitialPair> {
     let least = num_views.div_ceil(6);
     let mut far: Vec<InitialPair> = Vec::new();
     let mut near = Vec::new();
@@ -190,7 +198,7 @@ pub fn far_from_one_another(pairs: Vec<InitialPair>, num_views: usize) -> Vec<In
     far
 }
 
-/// Leaves out a pair when a better one lies within two views of it on both sides: a second start should differ.
+/// Removes pairs with a better one within two views on both sides: a second attempt should differ.
 fn distinct(pairs: impl Iterator<Item = InitialPair>) -> Vec<InitialPair> {
     let mut kept: Vec<InitialPair> = Vec::new();
     for pair in pairs {
@@ -208,10 +216,10 @@ mod tests {
     use crate::scene::ImageId;
 
     #[test]
-    fn the_next_start_lies_elsewhere() {
+    fn the_second_attempt_uses_another_pair() {
         let pair = |views| InitialPair { views, cam2_from_cam1: Rigid3::identity() };
         let best_first = [[10, 20], [12, 22], [10, 30], [40, 50], [41, 49]];
-        let order = far_from_one_another(best_first.map(pair).to_vec(), 60);
+        let order = diversified(best_first.map(pair).to_vec(), 60);
         assert_eq!(
             order.iter().map(|p| p.views).collect::<Vec<_>>(),
             [[10, 20], [10, 30], [40, 50], [12, 22], [41, 49]]

@@ -1,4 +1,4 @@
-//! Start of a map: pose priors, or one pair of views after the other.
+//! Initialization of a map from pose priors, or from one initial pair after the other.
 
 use super::incremental_mapper::{IncrementalMapper, PosePriors};
 use super::initial_pair;
@@ -19,13 +19,14 @@ pub struct InitializationAttempt<'a> {
     pub poses: Option<&'a PosePriors>,
 }
 
-/// Share of the views that a good map has.
+/// Minimum share of registered views of a good map.
 const GOOD_SHARE: f64 = 0.95;
 
 impl<'a> InitializationAttempt<'a> {
-    /// Grows a map from the pose priors; without these, or where their points do not hold, from one pair after the
-    /// other, until a map has nearly all views, and returns the map that explains the most observations. The report
-    /// gives the reason where there is none.
+    /// Grows a map from the pose priors, or from one initial pair after the other.
+    ///
+    /// Pairs are tried if there are no pose priors or too few points remain from these, until a map has nearly all
+    /// views. Returns the map that explains the most observations, or a report with the reason of the failure.
     pub fn grow(
         &self,
         seed: u64,
@@ -33,7 +34,7 @@ impl<'a> InitializationAttempt<'a> {
     ) -> Result<Result<IncrementalMapper<'a>, Report>, MapperError> {
         if let Some(poses) = self.poses {
             let mut mapper = self.mapper(seed);
-            if mapper.start_from(poses)? {
+            if mapper.initialize_from(poses)? {
                 self.finish(&mut mapper, 0.0, watch)?;
                 tracing::debug!("from pose priors: {} views", mapper.num_registered());
                 return Ok(Ok(mapper));
@@ -52,10 +53,10 @@ impl<'a> InitializationAttempt<'a> {
         let num_pairs = pairs.len();
         let mut best: Option<(f64, IncrementalMapper)> = None;
         let mut tried = 0;
-        let apart = initial_pair::far_from_one_another(pairs, table.views.len());
-        for pair in apart.iter().take(options.max_starts) {
+        let diversified = initial_pair::diversified(pairs, table.views.len());
+        for pair in diversified.iter().take(options.max_starts) {
             let mut mapper = self.mapper(seed);
-            if mapper.start(pair)? {
+            if mapper.initialize(pair)? {
                 self.finish(&mut mapper, tried as f64, watch)?;
                 let explained = mapper.num_explained();
                 tracing::debug!("attempt {}: {} views, {explained:.0}", tried + 1, mapper.num_registered());
@@ -81,7 +82,7 @@ impl<'a> InitializationAttempt<'a> {
         IncrementalMapper::new(Map::new(self.table, self.cameras, self.known.clone()), self.options, seed)
     }
 
-    /// Grows a map to its end, after `before` other attempts.
+    /// Grows and finishes a map, after `before` other attempts.
     fn finish(
         &self,
         mapper: &mut IncrementalMapper<'a>,
@@ -94,7 +95,7 @@ impl<'a> InitializationAttempt<'a> {
         mapper.finish()
     }
 
-    /// Views in which there is something.
+    /// Number of views with features.
     fn num_usable(&self) -> usize {
         self.table.views.iter().filter(|view| !view.pixels.is_empty()).count()
     }

@@ -22,28 +22,37 @@ pub struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Held.
+    /// All parameters fixed.
     pub const FIXED: Self = Self { focal: 0.0, principal: 0.0, distortion: 0.0 };
 
-    /// A calibration: of the same lens it differs by some tenths of a percent with temperature, focus and the choice of
-    /// views; by a percent and more if the video mode crops or stabilizes. Distortion is often given as zero where the
-    /// lens has some; a narrower prior bends the path of a weak motion instead: see docs/benchmarks/intrinsics.md.
+    /// Prior of a calibration.
+    ///
+    /// Calibrations of the same lens differ by some tenths of a percent with temperature, focus and the choice of
+    /// views, and by a percent and more if the video mode crops or stabilizes. Distortion is often given as zero where
+    /// the lens has some. A narrower prior bends the trajectory under weak motion instead: see
+    /// docs/benchmarks/intrinsics.md.
     pub const GIVEN: Self = Self { focal: 0.01, principal: 0.01, distortion: 0.1 };
 
-    /// The focal length of an EXIF block: rounded to a millimeter of 24 and more, that of the lens and not of the image
-    /// where the camera crops a margin (rectification, stabilization: up to a tenth), and relative to the width of the
-    /// image or to its diagonal: together 8 %.
+    /// Prior of the focal length of an EXIF block.
+    ///
+    /// It is rounded to a millimeter of 24 and more. It is that of the lens and not of the image where the camera crops
+    /// a margin (rectification, stabilization: up to a tenth). It is relative to the width of the image or to its
+    /// diagonal. Together this is 8 %.
     pub const STATED: Self = Self { focal: 0.08, ..Self::GUESSED };
 
-    /// The focal length of a drone's log: as [`Self::STATED`], and many video modes show less than the whole width of
-    /// the sensor (stabilization, high frame rates): together 12 %.
+    /// Prior of the focal length of a drone's log.
+    ///
+    /// As [`Self::STATED`], and many video modes show less than the whole width of the sensor (stabilization, high
+    /// frame rates): together 12 %.
     pub const LOGGED: Self = Self { focal: 0.12, ..Self::GUESSED };
 
-    /// A guess. Cameras that are met in practice lie within two standard deviations of 0.4 of ln f: from 0.34 to 1.67
-    /// longer sides for videos ([`Camera::prior`](crate::camera::Camera::prior)), from 0.45 to 2.2 for photographs
+    /// Prior of a guess.
+    ///
+    /// Cameras in practice are within two standard deviations of 0.4 of ln f: from 0.34 to 1.67 longer sides for videos
+    /// ([`Camera::prior`](crate::camera::Camera::prior)), from 0.45 to 2.2 for photographs
     /// ([`Camera::prior_of_photograph`](crate::camera::Camera::prior_of_photograph)). The principal point is near the
-    /// center as lenses are built, within a hundredth of the image. Where views turn and spread it moves freely; on a
-    /// single flight looking straight down, where it could absorb common errors, it stays.
+    /// center as lenses are built, within a hundredth of the image. It moves freely where views rotate and spread. It
+    /// stays on a single flight looking straight down, where it could absorb common errors.
     pub const GUESSED: Self = Self { focal: 0.4, principal: 0.01, distortion: 0.2 };
 
     /// Returns true if no parameter may change.
@@ -81,7 +90,7 @@ impl Default for Intrinsics {
     }
 }
 
-/// The same of every camera of a table of tracks; that of the last one holds for all further cameras.
+/// Prior knowledge of the intrinsics of every camera; the last entry holds for all further cameras.
 #[derive(Clone, Debug, PartialEq)]
 pub struct KnownIntrinsics(Vec<Intrinsics>);
 

@@ -1,4 +1,4 @@
-//! The state of a growing map.
+//! State of a map during reconstruction.
 
 mod joints;
 mod rejection;
@@ -17,12 +17,12 @@ use crate::geometry::triangulation::{self, Limits, View};
 use crate::math::{RAYLEIGH_MEDIAN, Rigid3, upper_median, widest_angle};
 use crate::scene::{CameraId, Image, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-/// A track whose point is known.
+/// Triangulated point of a track.
 #[derive(Clone, Debug)]
 pub struct MapPoint {
-    /// In the world.
+    /// Position in the world.
     pub position: Point3<f64>,
-    /// For each feature of the track, whether it is an observation of the point: its view is registered and it fits.
+    /// True for each feature of the track that is an observation of the point: its view is registered and it fits.
     pub active: Vec<bool>,
 }
 
@@ -39,7 +39,7 @@ fn slots_of_view(num_views: usize, tracks: &[Track]) -> Vec<Vec<Slot>> {
     slots
 }
 
-/// Place of a feature in its track.
+/// Position of a feature in its track.
 #[derive(Clone, Copy, Debug)]
 pub struct Slot {
     /// Track index.
@@ -48,33 +48,33 @@ pub struct Slot {
     pub slot: u32,
 }
 
-/// Poses and points found so far.
+/// Poses and points of a reconstruction in progress.
 #[derive(Clone)]
 pub struct Map<'a> {
     /// Views and tracks to be reconstructed.
     pub table: &'a TrackTable,
-    /// Its tracks; a copy where tracks had to be split at gaps.
+    /// Its tracks; a copy if tracks had to be split at gaps.
     pub tracks: Cow<'a, [Track]>,
     /// Intrinsics.
     pub cameras: Vec<Camera>,
-    /// Intrinsics as they were at the start.
+    /// Initial intrinsics.
     pub guess: Vec<Camera>,
     /// Prior knowledge of the intrinsics.
     pub known: KnownIntrinsics,
     /// World to camera, by view; `None` where not registered.
     pub poses: Vec<Option<Rigid3>>,
-    /// By track.
+    /// Known points, by track.
     points: Vec<Option<MapPoint>>,
     /// Features of each view that belong to tracks.
     slots_of_view: Vec<Vec<Slot>>,
     /// Number of its features with a known point, by view.
     num_visible: Vec<usize>,
     /// True if there are loop closures, so that views far apart in time share points.
-    pub comes_back: bool,
+    pub has_loop_closures: bool,
 }
 
 impl<'a> Map<'a> {
-    /// Nothing but the prior knowledge of the intrinsics.
+    /// Map without views, with prior knowledge of the intrinsics.
     pub fn new(table: &'a TrackTable, cameras: &[Camera], known: KnownIntrinsics) -> Self {
         Self {
             cameras: cameras.to_vec(),
@@ -84,7 +84,7 @@ impl<'a> Map<'a> {
             points: vec![None; table.tracks.len()],
             num_visible: vec![0; table.views.len()],
             slots_of_view: slots_of_view(table.views.len(), &table.tracks),
-            comes_back: false,
+            has_loop_closures: false,
             table,
             tracks: Cow::Borrowed(&table.tracks),
         }
@@ -95,21 +95,21 @@ impl<'a> Map<'a> {
         (0..self.cameras.len()).filter(|&camera| !self.known.of(camera).is_fixed())
     }
 
-    /// Registered views, by camera.
+    /// Number of registered views, by camera.
     pub fn num_views_of_cameras(&self) -> Vec<usize> {
         let mut counts = vec![0; self.cameras.len()];
         self.registered().for_each(|view| counts[self.table.views[view].camera] += 1);
         counts
     }
 
-    /// Known points that registered views see, by camera; one that two views see counts twice.
+    /// Number of features of registered views with a known point, by camera.
     pub fn num_points_of_cameras(&self) -> Vec<usize> {
         let mut counts = vec![0; self.cameras.len()];
         self.registered().for_each(|view| counts[self.table.views[view].camera] += self.num_visible[view]);
         counts
     }
 
-    /// Registered views.
+    /// Number of registered views.
     pub fn num_registered(&self) -> usize {
         self.poses.iter().flatten().count()
     }
@@ -119,7 +119,7 @@ impl<'a> Map<'a> {
         (0..self.poses.len()).filter(|&view| self.poses[view].is_some())
     }
 
-    /// Known points.
+    /// Number of known points.
     pub fn num_points(&self) -> usize {
         self.points.iter().flatten().count()
     }
@@ -162,7 +162,7 @@ impl<'a> Map<'a> {
         &self.cameras[self.table.views[view].camera]
     }
 
-    /// Pixels and points at some features of a view, for resection.
+    /// Pixels and points of some features of a view, for resection.
     pub fn pixels_and_points(&self, slots: &[Slot]) -> (Vec<Point2<f64>>, Vec<Point3<f64>>) {
         slots
             .iter()
@@ -178,7 +178,7 @@ impl<'a> Map<'a> {
         self.mark(slots, true);
     }
 
-    /// Takes a view out again, with all its observations.
+    /// Unregisters a view and removes all its observations.
     pub fn unregister(&mut self, view: usize) {
         self.poses[view] = None;
         self.mark(self.slots_of_view[view].clone(), false);
@@ -192,8 +192,8 @@ impl<'a> Map<'a> {
         }
     }
 
-    /// Triangulates the unknown points that a view sees; returns how many were found.
-    pub fn triangulate_seen_by(&mut self, view: usize, limits: &Limits) -> usize {
+    /// Triangulates the unknown points of the features of a view; returns the number of new points.
+    pub fn triangulate_features_of(&mut self, view: usize, limits: &Limits) -> usize {
         let unknown: Vec<usize> = self.slots_of_view[view]
             .iter()
             .map(|s| s.track as usize)
@@ -202,7 +202,7 @@ impl<'a> Map<'a> {
         unknown.into_iter().filter(|&track| self.triangulate(track, limits)).count()
     }
 
-    /// Triangulates every unknown point; returns how many were found.
+    /// Triangulates every unknown point; returns the number of new points.
     pub fn triangulate_all(&mut self, limits: &Limits) -> usize {
         (0..self.points.len()).filter(|&t| self.points[t].is_none() && self.triangulate(t, limits)).count()
     }
@@ -221,8 +221,9 @@ impl<'a> Map<'a> {
         true
     }
 
-    /// Triangulates known points again from their observations, leaving out those for which `keep` holds (they were
-    /// adjusted already). A point whose observations no longer meet is dropped.
+    /// Triangulates known points again, except those for which `keep` is true, which were adjusted already.
+    ///
+    /// Points whose triangulation fails are dropped.
     pub fn retriangulate(&mut self, limits: &Limits, keep: &[bool]) {
         for track in 0..self.points.len() {
             if self.points[track].is_some() && !keep[track] {
@@ -232,13 +233,15 @@ impl<'a> Map<'a> {
         }
     }
 
-    /// Adds the registered views that see known points and fit, and takes out observations that do not, points with
-    /// fewer than two observations, and points without an angle. Returns how many observations changed.
+    /// Updates the observations of all known points; returns the number of changed observations.
+    ///
+    /// Features of registered views that fit are added, and observations that do not fit are removed. Points with fewer
+    /// than two observations, or without a sufficient angle, are dropped.
     pub fn update_observations(&mut self, limits: &Limits) -> usize {
         (0..self.points.len()).map(|track| self.update_point(track, limits)).sum()
     }
 
-    /// The same of one point.
+    /// Updates the observations of one point; returns the number of changed ones.
     fn update_point(&mut self, track: usize, limits: &Limits) -> usize {
         let max_sq = limits.max_error_px * limits.max_error_px;
         let Some(point) = &self.points[track] else { return 0 };
@@ -258,9 +261,10 @@ impl<'a> Map<'a> {
         changed
     }
 
-    /// Triangulates again what some views see, leaving out points for which `keep` holds (they were adjusted already),
-    /// and adds and takes out observations of all that they see.
-    pub fn renew(&mut self, views: Range<usize>, limits: &Limits, keep: &[bool]) {
+    /// Triangulates the points of some views again, and updates their observations.
+    ///
+    /// Points for which `keep` is true were adjusted already and keep their position.
+    pub fn update_points_of(&mut self, views: Range<usize>, limits: &Limits, keep: &[bool]) {
         let mut tracks: Vec<usize> =
             self.slots_of_view[views].iter().flatten().map(|slot| slot.track as usize).collect();
         tracks.sort_unstable();
@@ -274,11 +278,11 @@ impl<'a> Map<'a> {
         }
     }
 
-    /// Looks whether points were lost for more than so many views and found again, more than chance would have it.
-    pub fn look_for_places_that_come_back(&mut self, gap: usize) {
+    /// Detects loop closures: more points re-detected after over `gap` views than wrong matches explain.
+    pub fn detect_loop_closures(&mut self, gap: usize) {
         let is_far = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize > gap;
-        // Fewer returns happen by wrong matches.
-        self.comes_back = self.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(20).is_some();
+        // Wrong matches cause up to this number of re-detections.
+        self.has_loop_closures = self.tracks.iter().filter(|track| track.windows(2).any(is_far)).nth(20).is_some();
     }
 
     fn set_point(&mut self, track: usize, point: Option<MapPoint>) {
@@ -332,18 +336,21 @@ impl<'a> Map<'a> {
         counts
     }
 
-    /// Number of observations that the map explains: each counts from 1, where it fits exactly, to 0 at `max_error` (in
-    /// units of the whitening) or where its point or view is unknown.
+    /// Soft number of inliers among all observations.
+    ///
+    /// Each counts from 1, where it fits exactly, to 0 at `max_error` (in units of the whitening) or where its point or
+    /// view is unknown.
     pub fn num_explained(&self, max_error: f64) -> f64 {
         let explained = |error_sq: f64| 1.0 - (error_sq / max_error.powi(2)).min(1.0);
         (0..self.points.len()).map(|track| self.errors_sq(track).map(explained).sum::<f64>()).sum()
     }
 
-    /// Robust noise of the observations: the median distance to the projection, as the standard deviation of a
-    /// coordinate under Gaussian noise (a Rayleigh median is 1.177 σ). Of long videos a part of the tracks, all over
-    /// them, tells as much as all.
+    /// Robust noise of the observations: the median reprojection error as the standard deviation of a coordinate.
+    ///
+    /// Under Gaussian noise the median of the error is a Rayleigh median, 1.177 σ. Of long videos an evenly spaced
+    /// sample of the tracks suffices.
     pub fn noise(&self) -> Noise {
-        // A median of 20,000 tracks is right to a hundredth.
+        // A median of 20,000 tracks is accurate to a hundredth.
         let errors: Vec<f64> = (0..self.points.len())
             .step_by((self.points.len() / 20_000).max(1))
             .flat_map(|track| self.errors_sq(track).map(f64::sqrt))
@@ -352,7 +359,7 @@ impl<'a> Map<'a> {
     }
 
     /// Result of the reconstruction, without the views.
-    pub fn into_found(mut self) -> MapPoints {
+    pub fn into_points(mut self) -> MapPoints {
         self.slots_of_view = Vec::new();
         let cameras = self.cameras.iter().enumerate().map(|(i, c)| (camera_id(i), *c)).collect();
         let mut points = BTreeMap::new();
@@ -397,7 +404,7 @@ pub struct MapPoints {
 }
 
 impl MapPoints {
-    /// The whole, with the views that it was found in: each may go as soon as its features are taken over.
+    /// Reconstruction with the views of the map, each of which may be freed once its features are taken over.
     pub fn with_views(self, views: impl Iterator<Item = tracks::View>) -> Reconstruction {
         let mut images = BTreeMap::new();
         for (pose, view) in self.poses.iter().zip(views) {

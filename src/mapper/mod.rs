@@ -1,13 +1,13 @@
 //! Incremental reconstruction of one target (the background, or one object) from its tracks.
 //!
-//! A pair of views with many common points and a wide angle starts the map. Views are added one by one, the one that
-//! sees most known points first: its pose by P3P ([`crate::geometry::resection`]), new points by triangulation
-//! ([`crate::geometry::triangulation`]), then a local bundle adjustment round it, and a global one whenever the map has
-//! grown by a fixed share. Views that fail are tried again when they see more points. Views that contradict what pairs
-//! of views say by themselves are taken out and tried again (`view_graph`). When a start does not carry far, the next
-//! pair is tried, and the largest map is kept.
+//! An initial pair with many common points and a large triangulation angle initializes the map. Views are registered
+//! one by one, the one that observes the most known points first: its pose by P3P ([`crate::geometry::resection`]), new
+//! points by triangulation ([`crate::geometry::triangulation`]), then a local bundle adjustment. A global adjustment
+//! follows whenever the map has grown by a fixed share. Views that fail are tried again when they observe more points.
+//! Views that contradict the two-view geometries of their pairs are removed and registered again (`view_graph`). If a
+//! map has too few views, the next initial pair is tried, and the map that explains the most observations is kept.
 //!
-//! Every view that is not part of the result has a [`Reason`] in the [`Report`].
+//! Every unregistered view has a [`Reason`] in the [`Report`].
 
 mod adjustment;
 mod calibration_fit;
@@ -109,11 +109,12 @@ pub struct Options {
 const MAX_ERROR_SIGMAS: f64 = 8.0;
 /// Scale of the robust loss over the measured noise.
 const LOSS_SIGMAS: f64 = 2.0;
-/// Scale of the loss below which a residual is rounding; a smaller one would only slow the solver down.
+/// Minimum scale of the loss, pixels: smaller residuals are rounding, and a smaller scale would only slow the solver
+/// down.
 const MIN_LOSS_SCALE_PX: f64 = 0.02;
 
 impl Options {
-    /// For the background.
+    /// Options for the background.
     pub fn background() -> Self {
         Self {
             min_initial_inliers: 60,
@@ -134,7 +135,8 @@ impl Options {
         }
     }
 
-    /// For one object: far fewer points, so less is asked of them, and they must fit better.
+    /// Options for one object: it has far fewer points, so the required numbers are lower and the error limits
+    /// stricter.
     pub fn object() -> Self {
         Self {
             min_initial_inliers: 16,
@@ -147,7 +149,7 @@ impl Options {
         }
     }
 
-    /// Rejects limits that cannot be kept, contradict one another or would never end.
+    /// Rejects options that are out of range or contradict one another.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -168,24 +170,26 @@ impl Options {
         within("max_views_at_once", self.max_views_at_once, 800..=1_000_000_000)
     }
 
-    /// The same for cameras: positions are found to a share of a pixel whatever the frame's size, so that it is the
-    /// parallax in pixels, f · angle, that tells a depth. `min_angle_deg` holds up to a focal length of 1536 px, a
-    /// field of view of 45° in frames of 1280 pixels; beyond, the parallax counts that it makes there.
+    /// Options with the minimum triangulation angle adapted to the focal lengths of the cameras.
+    ///
+    /// Feature positions are accurate to a fraction of a pixel whatever the frame's size, so the parallax in pixels, f
+    /// · angle, determines a depth. `min_angle_deg` holds up to a focal length of 1536 px, a field of view of 45° in
+    /// frames of 1280 pixels. Beyond, the same parallax in pixels is required.
     fn at_focal(&self, cameras: &[Camera]) -> Self {
-        // Focal length up to which `min_angle_deg` holds as it is, pixels (see above).
+        // Focal length up to which `min_angle_deg` holds unchanged, pixels (see above).
         const USUAL_FOCAL_PX: f64 = 1536.0;
         let longest = cameras.iter().map(Camera::mean_focal).fold(USUAL_FOCAL_PX, f64::max);
         Self { min_angle_deg: self.min_angle_deg * USUAL_FOCAL_PX / longest, ..self.clone() }
     }
 
-    /// Limits of inlier observations at a noise.
+    /// Limits of inlier observations at the measured noise.
     fn limits(&self, noise: Noise) -> Limits {
         let of_noise = |sigma_px: f64| (MAX_ERROR_SIGMAS * sigma_px).clamp(self.min_error_px, self.max_error_px);
         let max_error_px = noise.filter(|_| self.ordered).map_or(self.max_error_px, of_noise);
         Limits { max_error_px, min_angle: self.min_angle_deg.to_radians() }
     }
 
-    /// The loss of bundle adjustment at a noise.
+    /// Robust loss of bundle adjustment at the measured noise.
     fn loss(&self, noise: Noise) -> RobustLoss {
         let of_noise = |sigma_px: f64| (LOSS_SIGMAS * sigma_px).clamp(MIN_LOSS_SCALE_PX, self.loss_scale_px);
         let scale = noise.map_or(self.loss_scale_px, of_noise);
@@ -193,22 +197,23 @@ impl Options {
     }
 }
 
-/// Noise of observations: robust standard deviation of a coordinate of the residuals, pixels; where positions carry a
-/// covariance, of a good corner (a whitening of one). `None` while nothing is adjusted yet.
+/// Robust standard deviation of a coordinate of the residuals, pixels; `None` before the first adjustment.
 ///
-/// Features of different front ends, videos and objects differ tenfold in it, and a loss or a threshold that is wide
-/// for the data lets systematic errors in: on the shared rendered sequence measured limits took the camera error of the
+/// Where positions have a covariance, it is that of a good corner (a whitening of one).
+///
+/// The noise of different front ends, videos and objects differs tenfold. A loss or a threshold that is too wide for
+/// the data admits systematic errors: on the shared rendered sequence measured limits reduced the camera error of the
 /// background from 2.8 to 0.5 mm.
 type Noise = Option<f64>;
 
-/// Builds the map that explains the tracks best.
+/// Reconstructs the cameras and points that explain the tracks best.
 ///
 /// Long videos cost the least after [`cut_long_tracks`].
 ///
 /// * `cameras` – intrinsics, indexed by [`crate::features::tracks::View::camera`].
-/// * `intrinsics` – what is known of them: alike of all cameras, or of each.
+/// * `intrinsics` – prior knowledge of them, common to all cameras or by camera.
 ///
-/// The reconstruction is empty when no pair of views can start one; the report then says why.
+/// The reconstruction is empty if no initial pair yields a map; the report then gives the reason.
 ///
 /// Adjustments run on the threads of the caller's rayon pool.
 ///
@@ -225,10 +230,11 @@ pub fn reconstruct(
     reconstruct_watched(table.clone(), cameras, intrinsics, options, seed, None, &mut |_| {})
 }
 
-/// As [`reconstruct`], from `poses`, where these are given. `watch` receives the finished share of the work from time
-/// to time, as far as that can be determined: starts that turn out to be needed set it back.
+/// As [`reconstruct`], initialized from `poses` where these are given, with progress.
 ///
-/// The tracks of a long video are dropped before the map is made of what was found: memory never has both.
+/// `watch` receives the finished share of the work. It is an estimate: further initialization attempts set it back.
+///
+/// The tracks are dropped before the views get their observations: for a long video memory does not hold both.
 ///
 /// # Errors
 /// As [`reconstruct`].
@@ -249,7 +255,7 @@ pub fn reconstruct_watched(
     let (found, report) = match attempt.grow(seed, watch)? {
         Ok(mapper) => {
             let (map, report) = mapper.into_result();
-            (Some(map.into_found()), report)
+            (Some(map.into_points()), report)
         }
         Err(report) => (None, report),
     };
@@ -258,11 +264,11 @@ pub fn reconstruct_watched(
     Ok(with_views(found, report, views.into_iter()))
 }
 
-/// Points of a target that stands still in front of known cameras.
+/// Triangulates the points of a stationary target from known camera poses.
 ///
 /// * `poses` – camera from world, by view.
 ///
-/// Returns the model in the frame of the cameras, and the share of the observations that it explains.
+/// Returns the model in the frame of the cameras, the report, and the inlier ratio of the observations.
 ///
 /// # Errors
 /// As [`reconstruct`].
@@ -278,7 +284,7 @@ pub fn triangulate(
     let mut mapper = IncrementalMapper::new(map, options, 0);
     let explained = mapper.triangulate_from(poses)?;
     let (map, report) = mapper.into_result();
-    let (model, report) = with_views(Some(map.into_found()), report, table.views.iter().cloned());
+    let (model, report) = with_views(Some(map.into_points()), report, table.views.iter().cloned());
     Ok((model, report, explained))
 }
 

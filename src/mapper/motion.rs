@@ -1,13 +1,12 @@
-//! Motion from which no map, or only a weak one, can come: recognized and reported.
+//! Degenerate and weak motion: detection and report.
 //!
-//! - A **still** camera moves no point.
-//! - A camera that only **turns** moves all points by one homography, H = K R K⁻¹: K⁻¹ H K is a rotation for some focal
-//!   length. Five-point geometry fits such pairs as well, with any translation, and points far away; they must not
-//!   start a map.
-//! - A **plane** moves by a homography too, but not by one of that kind. With known intrinsics it is reconstructed like
-//!   anything else; without, the focal length is weak.
-//! - **Forward** motion is reconstructed, with points near the middle of the picture that are far less certain in
-//!   depth.
+//! - A **stationary** camera displaces no point.
+//! - A camera that only **rotates** displaces all points by one homography, H = K R K⁻¹: K⁻¹ H K is a rotation for some
+//!   focal length. Five-point geometry fits such pairs as well, with any translation, and points far away; they must
+//!   not initialize a map.
+//! - A **plane** is displaced by a homography too, but not by one of that kind. With known intrinsics it is
+//!   reconstructed like any other scene; without, the focal length is weakly determined.
+//! - **Forward** motion is reconstructed, but points near the image center are far less certain in depth.
 
 use std::fmt;
 
@@ -18,26 +17,26 @@ use super::map::Map;
 use crate::geometry::two_view::TwoViewGeometry;
 use crate::math::{lower_quantile, symmetric_eigen};
 
-/// Motion between two views, as far as they determine it.
+/// Class of the motion between two views.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum PairMotion {
-    /// Points stay where they are.
-    Still,
-    /// All points move as by a turn of the camera.
-    Turn,
-    /// Anything else.
-    Other,
+    /// No displacement.
+    Stationary,
+    /// Pure rotation of the camera.
+    PureRotation,
+    /// Any other motion.
+    General,
 }
 
-/// Judges a pair between which something moves by its homography.
-pub fn of_pair(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion {
+/// Classifies a pair with displacement by its homography.
+pub fn classify(geometry: &TwoViewGeometry, intrinsics: Intrinsics) -> PairMotion {
     // The rest are outliers of the homography, as any estimate has.
-    let turn = geometry.homography.is_some_and(|h| geometry.homography_share >= 0.9 && is_turn(&h, intrinsics));
-    if turn { PairMotion::Turn } else { PairMotion::Other }
+    let turn = geometry.homography.is_some_and(|h| geometry.homography_share >= 0.9 && is_rotation(&h, intrinsics));
+    if turn { PairMotion::PureRotation } else { PairMotion::General }
 }
 
 /// Returns true if a homography between normalized positions is a rotation, for the given or for any focal length.
-fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
+fn is_rotation(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
     // Search range of the focal length's logarithm, prior standard deviations: two and a margin, from 0.4 to 2.5 times
     // a guess.
     const SPAN: f64 = 2.29;
@@ -45,7 +44,7 @@ fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
     const STEP: f64 = 0.022907;
     let steps = (SPAN * intrinsics.focal / STEP).round() as i32;
     let scales: Vec<f64> = (-steps..=steps).map(|k| (STEP * f64::from(k)).exp()).collect();
-    let deviation = |&scale: &f64| {
+    let residual = |&scale: &f64| {
         let s = Matrix3::from_diagonal(&Vector3::new(scale, scale, 1.0));
         let Some(inverse) = s.try_inverse() else { return f64::INFINITY };
         let m = inverse * homography * s;
@@ -53,42 +52,42 @@ fn is_turn(homography: &Matrix3<f64>, intrinsics: Intrinsics) -> bool {
         let m = m / determinant.cbrt();
         (m.transpose() * m - Matrix3::identity()).norm()
     };
-    // Of a plane that is seen under two directions it differs by about their angle: this is half a degree.
-    scales.iter().map(deviation).fold(f64::INFINITY, f64::min) <= 0.008
+    // For a plane that is observed from two directions it is about their angle: this is half a degree.
+    scales.iter().map(residual).fold(f64::INFINITY, f64::min) <= 0.008
 }
 
-/// Counts of what the pairs of views tell.
+/// Number of pairs of views by their motion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Survey {
-    still: usize,
-    turning: usize,
+    stationary: usize,
+    rotating: usize,
     total: usize,
 }
 
 impl Survey {
-    /// One pair more.
+    /// Counts a pair.
     pub fn add(&mut self, motion: PairMotion) {
         self.total += 1;
         match motion {
-            PairMotion::Still => self.still += 1,
-            PairMotion::Turn => self.turning += 1,
-            PairMotion::Other => (),
+            PairMotion::Stationary => self.stationary += 1,
+            PairMotion::PureRotation => self.rotating += 1,
+            PairMotion::General => (),
         }
     }
 
-    /// Why no map can start, where that lies in the motion.
+    /// Reason that no map can be initialized, if it is the motion.
     pub fn failure(&self) -> Option<String> {
         // A clear majority of the pairs tried.
         let is_most = |count: usize| count > 0 && count as f64 >= 0.7 * self.total as f64;
-        if is_most(self.still) {
+        if is_most(self.stationary) {
             Some(format!(
                 "camera stationary: no motion in {} of {} pairs of frames; the camera must move around the target",
-                self.still, self.total
+                self.stationary, self.total
             ))
-        } else if is_most(self.turning) || is_most(self.turning + self.still) {
+        } else if is_most(self.rotating) || is_most(self.rotating + self.stationary) {
             Some(format!(
                 "camera only rotates ({} of {} pairs of frames), which gives no depth; it must translate",
-                self.turning, self.total
+                self.rotating, self.total
             ))
         } else {
             None
@@ -106,7 +105,7 @@ pub enum ModelWeakness {
     },
     /// The camera moves along its line of sight.
     ForwardMotion,
-    /// The motion hardly tells the focal length.
+    /// The motion hardly determines the focal length.
     LooseFocalLength {
         /// Standard deviation, percent.
         percent: f64,
@@ -136,7 +135,7 @@ impl fmt::Display for ModelWeakness {
     }
 }
 
-/// Remarks on the shape of a finished map.
+/// Weaknesses of a finished map by its scene and its motion.
 pub fn remarks_on(map: &Map<'_>) -> Vec<ModelWeakness> {
     let mut out = Vec::new();
     if is_planar(map) {
@@ -148,7 +147,7 @@ pub fn remarks_on(map: &Map<'_>) -> Vec<ModelWeakness> {
     out
 }
 
-/// Returns true if nine points in ten lie within a hundredth of the median distance of a plane.
+/// Returns true if nine points in ten are within a hundredth of the median distance from a plane.
 fn is_planar(map: &Map<'_>) -> bool {
     let mut points: Vec<Vector3<f64>> =
         (0..map.tracks.len()).filter_map(|t| Some(map.point(t)?.position.coords)).collect();
@@ -176,7 +175,7 @@ fn is_planar(map: &Map<'_>) -> bool {
     thickness <= 0.01 * distance
 }
 
-/// Returns true if nearly all steps from view to view go along the line of sight.
+/// Returns true if nearly all displacements from view to view are along the line of sight.
 fn is_forward(map: &Map<'_>) -> bool {
     let poses: Vec<_> = map.registered().filter_map(|v| map.poses[v]).collect();
     let steps: Vec<Vector3<f64>> = poses.windows(2).map(|w| w[1].center() - w[0].center()).collect();
@@ -198,22 +197,22 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_homography_of_a_turn_is_one_for_the_right_focal_length_only() {
+    fn a_homography_is_a_rotation_only_for_the_right_focal_length() {
         let turn = *Rotation3::from_axis_angle(&Unit::new_normalize(Vector3::new(0.2, 1.0, 0.1)), 0.3).matrix();
-        assert!(is_turn(&turn, Intrinsics::FIXED));
-        // Normalised with a focal length that is 1.4 times too short.
+        assert!(is_rotation(&turn, Intrinsics::FIXED));
+        // Normalized with a focal length that is 1.4 times too short.
         let s = Matrix3::from_diagonal(&Vector3::new(1.4, 1.4, 1.0));
         let guessed = s * turn * s.try_inverse().unwrap();
-        assert!(!is_turn(&guessed, Intrinsics::FIXED) && is_turn(&guessed, Intrinsics::GUESSED));
+        assert!(!is_rotation(&guessed, Intrinsics::FIXED) && is_rotation(&guessed, Intrinsics::GUESSED));
         // A plane two units away, the camera moved aside by a tenth of a unit, and turned.
         let normal = Vector3::new(0.1, 0.2, 1.0).normalize();
         let plane = turn + Vector3::new(0.1, 0.02, 0.0) * normal.transpose() / 2.0;
-        assert!(!is_turn(&plane, Intrinsics::FIXED) && !is_turn(&plane, Intrinsics::GUESSED));
+        assert!(!is_rotation(&plane, Intrinsics::FIXED) && !is_rotation(&plane, Intrinsics::GUESSED));
     }
 
     #[test]
-    fn a_survey_blames_the_motion_only_where_most_pairs_do() {
-        let of = |still: usize, turning: usize, total: usize| Survey { still, turning, total }.failure();
+    fn the_motion_is_the_reason_only_where_most_pairs_agree() {
+        let of = |stationary: usize, rotating: usize, total: usize| Survey { stationary, rotating, total }.failure();
         assert!(of(9, 0, 10).unwrap().contains("camera stationary"));
         assert!(of(1, 8, 10).unwrap().contains("only rotates"));
         assert!(of(2, 3, 10).is_none() && of(0, 0, 0).is_none());

@@ -6,38 +6,38 @@ use super::motion::{ModelWeakness, Survey};
 use crate::features::tracks::{TrackTable, View};
 use crate::scene::ImageId;
 
-/// Why a view is not part of the map.
+/// Reason that a view is not registered.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Reason {
-    /// The target is not seen, or nothing on it could be determined from its surroundings.
+    /// The target is not visible, or nothing on it is distinctive enough for a feature.
     NoFeatures,
-    /// Features, but none that another view shows too.
+    /// Features, but none is matched in another view.
     NoMatches {
-        /// Features found.
+        /// Number of features.
         features: usize,
     },
     /// Too few of its features belong to known points.
     TooFewPoints {
-        /// Known points that it sees.
+        /// Number of its features with a known point.
         visible: usize,
-        /// Known points that it would need.
+        /// Required number of them.
         needed: usize,
     },
-    /// No pose on which enough of its points agree.
+    /// No pose with enough inliers.
     NoPose {
-        /// Known points that it sees.
+        /// Number of its features with a known point.
         visible: usize,
-        /// Most of them that agreed on one pose.
+        /// Largest number of inliers of a pose.
         inliers: usize,
     },
-    /// It fits nowhere without contradicting the pairs that it makes with others, as on repeated structure.
+    /// Every pose contradicts the two-view geometries of its pairs, as on repeated structure.
     Contradicted {
         /// Points of pairs that agree with its best pose.
         agreeing: usize,
         /// Points of pairs that contradict it.
         contradicting: usize,
     },
-    /// Nothing was reconstructed at all.
+    /// Nothing was reconstructed.
     NoStart,
 }
 
@@ -77,36 +77,37 @@ pub struct Outcome {
 pub struct Report {
     /// Every view, in the order of the table.
     pub views: Vec<Outcome>,
-    /// Points of the map.
+    /// Number of points.
     pub num_points: usize,
-    /// Their observations.
+    /// Number of their observations.
     pub num_observations: usize,
-    /// Points that the last adjustments left behind a camera that observes them, or at infinity: they are not part of
-    /// the map.
+    /// Number of points behind an observing camera or at infinity after the last adjustments, which were rejected.
     pub num_infinite_points: usize,
     /// Mean reprojection error, pixels.
     pub mean_error_px: Option<f64>,
-    /// By camera: standard deviation of the focal length as a share of it, with what is known of lenses beforehand;
-    /// `None` where it was held, or no registered view is of this camera, or many cameras have more views.
+    /// Standard deviation of the focal length with its prior, as a share of it, by camera.
+    ///
+    /// `None` where the focal length is fixed, where no registered view is of this camera, or where many cameras have
+    /// more views.
     pub focal_deviations: Vec<Option<f64>>,
     /// Weaknesses of the map, in the motion and in the scene.
     pub remarks: Vec<ModelWeakness>,
-    /// Why nothing was reconstructed, where nothing was.
+    /// Reason that nothing was reconstructed, if nothing was.
     pub failure: Option<String>,
 }
 
 impl Report {
-    /// Registered views.
+    /// Number of registered views.
     pub fn num_registered(&self) -> usize {
         self.views.iter().filter(|v| v.failure.is_none()).count()
     }
 
-    /// Views that are not registered.
+    /// Unregistered views, each with its reason.
     pub fn failures(&self) -> impl Iterator<Item = (&str, &Reason)> {
         self.views.iter().filter_map(|v| Some((v.name.as_str(), v.failure.as_ref()?)))
     }
 
-    /// The same of the first camera.
+    /// Standard deviation of the first camera's focal length with its prior, as a share of it.
     pub fn focal_deviation(&self) -> Option<f64> {
         self.focal_deviations.first().copied().flatten()
     }
@@ -117,7 +118,7 @@ impl Report {
         views.iter().enumerate().map(outcome).collect()
     }
 
-    /// The report of a target that no pair of views could start.
+    /// Report of a target without a usable initial pair.
     pub(super) fn without_start(table: &TrackTable, num_pairs: usize, num_starts: usize, survey: &Survey) -> Self {
         let num_seen = table.views.iter().filter(|view| !view.pixels.is_empty()).count();
         let failure = if num_seen < 2 {

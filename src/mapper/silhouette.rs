@@ -1,21 +1,20 @@
 //! Points of an object that its silhouettes contradict.
 //!
-//! Every point of an object projects into its silhouette from wherever it is seen: the object lies within its visual
-//! hull (A. Laurentini, *The Visual Hull Concept for Silhouette-Based Image Understanding*, PAMI 1994). A wrong match,
-//! a reflection or a shadow that moves along may agree with all pictures that observe it; the others, whose masks it
-//! leaves, show that it is none of the object.
+//! Every point of an object projects into its silhouette in every image: the object is within its visual hull (A.
+//! Laurentini, *The Visual Hull Concept for Silhouette-Based Image Understanding*, PAMI 1994). A wrong match, a
+//! reflection or a shadow that moves along may fit all images that observe it. The other images, where it projects
+//! outside of the mask, show that it is not part of the object.
 
 use std::collections::BTreeMap;
 
 use crate::scene::{ImageId, Mask, Point3dId, Reconstruction};
 
-/// When a point counts as outside.
+/// Limits of the silhouette test.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct SilhouetteOptions {
-    /// Share of pictures by which the mask may miss a point: something in front of the object hides it from the masks
-    /// too, and masks flicker.
+    /// Maximum share of images with the point outside of the mask: an occluder cuts the masks too, and masks flicker.
     pub max_outside: f64,
-    /// Fewest pictures to judge by.
+    /// Minimum number of votes of a point.
     pub min_votes: u32,
 }
 
@@ -25,32 +24,34 @@ impl Default for SilhouetteOptions {
     }
 }
 
-/// Counts for each point of one object in how many pictures it lies outside the mask.
+/// Votes of the images of one object on its points: inside or outside of the mask.
 #[derive(Clone, Debug, Default)]
 pub struct SilhouetteVotes {
-    /// Votes, and how many of them say outside.
+    /// Number of votes, and number of those for outside.
     votes: BTreeMap<Point3dId, [u32; 2]>,
     /// First images of all sub-maps but the first.
     gaps: Vec<ImageId>,
 }
 
 impl SilhouetteVotes {
-    /// Votes of the images of one object; those of a sub-map judge its own points.
+    /// Votes of the images of one object; those of a sub-map are on its own points only.
     pub fn new(object: &Reconstruction) -> Self {
         Self { gaps: object.gaps(), ..Self::default() }
     }
 
-    /// Takes the vote of one registered image. Points where `is_hidden` have none in it. Points out of view are outside
-    /// if the mask shows the object as a whole: no part of it is out of the picture or behind the camera.
+    /// Adds the votes of one registered image.
     ///
-    /// * `silhouette` – the object's mask in this image, grown by what its border may be off.
-    /// * `is_hidden` – whether another object may stand in front of an image position.
+    /// Points at occluded positions get no vote. Points out of view are outside if the mask shows the object as a
+    /// whole: no part of it is outside of the image or behind the camera.
+    ///
+    /// * `silhouette` – the object's mask in this image, dilated by the error of its border.
+    /// * `is_occluded` – true where another object may occlude an image position.
     pub fn add(
         &mut self,
         object: &Reconstruction,
         image: ImageId,
         silhouette: &Mask,
-        is_hidden: impl Fn(f64, f64) -> bool,
+        is_occluded: impl Fn(f64, f64) -> bool,
     ) {
         let sub_map = |id: ImageId| self.gaps.partition_point(|gap| *gap <= id);
         let of_image = sub_map(image);
@@ -64,7 +65,7 @@ impl SilhouetteVotes {
             }
             let pixel = camera.pixel_from_cam(image.cam_from_world * point.position);
             let is_outside = match pixel.filter(|pixel| camera.contains(*pixel)) {
-                Some(pixel) if is_hidden(pixel.x, pixel.y) => continue,
+                Some(pixel) if is_occluded(pixel.x, pixel.y) => continue,
                 Some(pixel) => !silhouette.contains(pixel.x, pixel.y),
                 None if is_whole => true,
                 None => continue,
@@ -95,7 +96,7 @@ mod tests {
 
     /// Ten cameras in a row, 10 m before a ball of radius 1, and points in it, next to it and behind it.
     #[test]
-    fn points_beside_and_behind_a_ball_are_found() {
+    fn points_outside_of_a_ball_are_found() {
         let camera = Camera::with_focal(200, 200, 150.0);
         let mut object = Reconstruction::default();
         object.cameras.insert(CameraId(1), camera);
@@ -115,7 +116,7 @@ mod tests {
             let mask = Mask::from_fn(200, 200, |x, y| {
                 (f64::from(x) + 0.5 - ball.x).hypot(f64::from(y) + 0.5 - ball.y) < radius + 1.0
             });
-            // The second picture's mask is lost: one voice of ten is not heard.
+            // The mask of the second image is lost: one wrong vote of ten has no effect.
             let mask = if k == 1 { Mask::empty(200, 200) } else { mask };
             votes.add(&object, ImageId(k + 1), &mask, |_, _| false);
         }
@@ -143,7 +144,7 @@ mod tests {
     }
 
     #[test]
-    fn what_stands_in_front_has_no_vote() {
+    fn occluded_points_have_no_vote() {
         let object = point(&[1], &[]);
         let options = SilhouetteOptions { min_votes: 1, ..SilhouetteOptions::default() };
         let nothing = Mask::empty(100, 100);

@@ -20,7 +20,7 @@ use crate::math::{Rigid3, Rng, seeded_rng, umeyama};
 use crate::scene::ImageId;
 use crate::synthetic::{empty_table, observe};
 
-/// A camera that flies along an arc and looks at a box of points.
+/// Camera on an arc that looks at a box of points.
 struct World {
     camera: Camera,
     poses: Vec<Rigid3>,
@@ -45,17 +45,17 @@ fn world(num_views: u32, num_points: usize) -> World {
     World { camera: Camera::with_focal(960, 540, 900.0), poses: (0..num_views).map(pose).collect(), points }
 }
 
-/// Tracks of all points over windows of fifteen views, with noise; `wrong` of them jump away halfway.
+/// Tracks of all points over windows of fifteen views, with noise; `wrong` of them are outliers from halfway on.
 fn tracks(world: &World, noise_px: f64, wrong: usize, rng: &mut Rng) -> TrackTable {
     tracks_over(15, world, noise_px, wrong, rng)
 }
 
-/// The same over windows of so many views.
+/// Tracks of all points over windows of some views, with noise; `wrong` of them are outliers from halfway on.
 fn tracks_over(window: usize, world: &World, noise_px: f64, wrong: usize, rng: &mut Rng) -> TrackTable {
     let normal = Normal::new(0.0, noise_px.max(1e-12)).unwrap();
     let mut table = empty_table(world.poses.len());
     for (index, point) in world.points.iter().enumerate() {
-        // Windows reach over both ends, so that the first and the last view see as much as the others.
+        // Windows extend over both ends, so that the first and the last view observe as much as the others.
         let end = rng.random_range(window / 2..world.poses.len() + window / 2);
         let first = end.saturating_sub(window);
         let mut track = Track::new();
@@ -72,7 +72,7 @@ fn tracks_over(window: usize, world: &World, noise_px: f64, wrong: usize, rng: &
     table
 }
 
-/// Root mean square distance of the centres after alignment, relative to the length of the path.
+/// Root mean square distance of the centers after alignment, in units of the world.
 fn center_error(reconstruction: &Reconstruction, world: &World) -> f64 {
     let (found, truth): (Vec<_>, Vec<_>) = reconstruction
         .images
@@ -85,7 +85,7 @@ fn center_error(reconstruction: &Reconstruction, world: &World) -> f64 {
 }
 
 #[test]
-fn exact_tracks_give_the_exact_path() {
+fn exact_tracks_give_the_exact_trajectory() {
     let world = world(30, 400);
     let table = tracks(&world, 0.0, 0, &mut seeded_rng(1, 0));
     let (found, report) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
@@ -94,7 +94,7 @@ fn exact_tracks_give_the_exact_path() {
 }
 
 #[test]
-fn noise_and_wrong_tracks_are_survived_and_seeds_repeat() {
+fn noise_and_wrong_tracks_are_tolerated_and_seeds_repeat() {
     let world = world(40, 600);
     let table = tracks(&world, 0.3, 80, &mut seeded_rng(2, 0));
     let run = || reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
@@ -139,7 +139,7 @@ fn unknown_focal_length_is_found() {
 }
 
 #[test]
-fn the_principal_point_is_found_where_views_turn_and_stays_where_they_do_not() {
+fn the_principal_point_is_estimated_only_where_views_rotate() {
     let off_center = |mut world: World| {
         world.camera.principal = [492.0, 262.0];
         let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));
@@ -167,13 +167,13 @@ fn the_principal_point_is_found_where_views_turn_and_stays_where_they_do_not() {
 }
 
 #[test]
-fn what_cannot_be_reconstructed_has_a_reason() {
+fn failures_have_a_reason() {
     let empty = TrackTable::default();
     let camera = Camera::prior(960, 540);
     let (found, report) = reconstruct(&empty, &[camera], Intrinsics::FIXED, &Options::object(), 0).unwrap();
     assert!(found.is_empty() && report.failure.is_some());
 
-    // A view that sees nothing, in the middle of a good sequence.
+    // A view without features, in the middle of a good sequence.
     let world = world(30, 300);
     let mut table = tracks(&world, 0.1, 0, &mut seeded_rng(5, 0));
     for track in &mut table.tracks {
@@ -204,18 +204,18 @@ fn options_that_pass_the_check_do_no_harm() {
 }
 
 #[test]
-fn options_that_do_not_pass_the_check_are_refused() {
+fn options_that_do_not_pass_the_check_are_rejected() {
     let options = Options { min_error_px: 5.0, ..Options::object() };
-    let refused = reconstruct(&TrackTable::default(), &[], Intrinsics::FIXED, &options, 0);
-    assert!(matches!(refused, Err(MapperError::Option(error)) if error.key == "min_error_px"));
+    let rejected = reconstruct(&TrackTable::default(), &[], Intrinsics::FIXED, &options, 0);
+    assert!(matches!(rejected, Err(MapperError::Option(error)) if error.key == "min_error_px"));
 }
 
 #[test]
-fn what_is_kept_lies_at_its_minimum() {
+fn the_result_is_at_its_minimum() {
     let world = world(30, 500);
     let mut rng = seeded_rng(8, 0);
     let mut table = tracks(&world, 0.1, 0, &mut rng);
-    // One position in ten is off by more than the noise, and by less than what is let in while that is not known.
+    // One position in ten is off by more than the noise, and by less than the limits at unknown noise.
     for pixel in table.views.iter_mut().flat_map(|view| &mut view.pixels) {
         if rng.random_bool(0.1) {
             let (angle, distance) = (rng.random_range(0.0..std::f64::consts::TAU), rng.random_range(1.0..2.5));

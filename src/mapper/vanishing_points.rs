@@ -1,22 +1,22 @@
 //! The ground's normal and the focal length from straight lines in some images.
 //!
-//! Streets, kerbs, markings, walls and vehicles have edges that are upright, or level along few directions. With the
-//! upright n, azimuths a_k and the focal length f, the vanishing directions are
+//! Streets, kerbs, markings, walls and vehicles have edges that are vertical, or horizontal along few directions. With
+//! the vertical n, azimuths a_k and the focal length f, the vanishing directions are
 //!
 //! ```text
 //! v_0 = n,    v_k = cos a_k e_1 + sin a_k e_2,    e_1, e_2 ⊥ n                                                     (1)
 //! ```
 //!
-//! and a segment whose plane with the camera has the normal m, and whose middle is seen along c, deviates from the
-//! line towards v by the angle
+//! and a segment whose plane with the camera center has the normal m, and whose midpoint has the direction c, deviates
+//! from the line towards v by the angle
 //!
 //! ```text
 //! sin ε = mᵀ v / ‖c × v‖                                                                                           (2)
 //! ```
 //!
-//! Each segment belongs to the direction from which it deviates least. The sum of robust squares is searched on a grid,
-//! then adjusted (Levenberg–Marquardt). The uprights of walls are those of gravity, against which the ground is
-//! inclined by the slope of roads: its share of the covariance is that of a parameter that is known beforehand, not
+//! Each segment is assigned to the direction with the smallest residual. The robust cost is searched on a grid, then
+//! minimized (Levenberg–Marquardt). The verticals of walls are those of gravity, against which the ground is inclined
+//! by the slope of roads. The slope enters the covariance as a parameter with a prior that is considered but not
 //! adjusted (S. Schmidt, *Application of State-Space Methods to Navigation Problems*, 1966). Literature: J. Coughlan,
 //! A. Yuille, *Manhattan World*, 1999; G. Schindler, F. Dellaert, *Atlanta World*, 2004.
 
@@ -30,28 +30,28 @@ use crate::math::RobustLoss;
 const END_STD_PX: f64 = 0.35;
 /// Standard deviation of the direction of parallel edges, radians.
 const PARALLEL_STD: f64 = 0.005;
-/// Level directions: two of each of two crossing streets.
+/// Number of horizontal directions: two of each of two crossing streets.
 const NUM_LEVEL: usize = 4;
-/// Minimum angle between them, radians.
-const APART: f64 = 0.17;
-/// Loss of a deviation in standard deviations: many edges belong to none of the directions.
+/// Minimum angle between horizontal directions, radians.
+const MIN_AZIMUTH_DIFFERENCE: f64 = 0.17;
+/// Loss of a residual in standard deviations: many edges belong to none of the directions.
 const LOSS: RobustLoss = RobustLoss::Cauchy { scale: std::f64::consts::SQRT_2 };
-/// Inclinations that are possible, radians. Closer to the horizon, and to straight down, the road ahead and the
-/// upright change places: a vanishing point in the image may be either. A drone's view straight down was taken for
-/// 73.5° ± 1.4° through a lens three times as long as it has, so that the upper limit must be two deviations away.
+/// Range of accepted inclinations, radians. Closer to the horizon, and to straight down, the road ahead and the
+/// vertical are ambiguous: a vanishing point in the image may be either. A drone's view straight down was estimated as
+/// 73.5° ± 1.4° with three times its focal length, so the upper limit must be two standard deviations away.
 const INCLINATIONS: [f64; 2] = [0.09, 1.31];
-/// Minimum number of segments: of fewer, random ones are explained, too.
+/// Minimum number of segments: fewer random ones are explained, too.
 const MIN_SEGMENTS: usize = 50;
-/// Maximum deviation of a segment from a direction that explains it, standard deviations.
-const EXPLAINED: f64 = 3.0;
-/// Minimum share of explained segments: 0.62 of 60 random segments and 0.45 of 150 are explained, 0.86 to 0.97 of those
-/// in streets, 0.82 to 0.85 on three real roads that bend, where the directions mean nothing.
-const MIN_SHARE: f64 = 0.86;
+/// Maximum residual of an inlier, standard deviations.
+const MAX_RESIDUAL: f64 = 3.0;
+/// Minimum inlier ratio: 60 random segments have 0.62, 150 have 0.45, those in streets 0.86 to 0.97, and those on three
+/// real roads that bend, where the directions are meaningless, 0.82 to 0.85.
+const MIN_INLIER_RATIO: f64 = 0.86;
 /// Number of grid points from which the first view is adjusted.
 const NUM_STARTS: usize = 12;
 /// Number of the first view's minima from which all views are adjusted.
 const NUM_MINIMA: usize = 4;
-/// Number of segments in the search of the grid, the longest of the first view: more cost time only.
+/// Number of segments in the grid search, the longest of the first view: more only cost time.
 const NUM_SEARCHED: usize = 150;
 
 /// The ground's normal by straight lines.
@@ -66,9 +66,11 @@ pub struct LineNormal {
 /// Segments of a view: its rotation, camera from world, and both ends of each, pixels.
 pub type ViewSegments<'a> = (UnitQuaternion<f64>, &'a [[Point2<f64>; 2]]);
 
-/// The ground's normal, and the logarithm of the focal length over the initial one with standard deviation, by segments
-/// of views of a camera that only turns; `None` where few are straight lines of a built place, or where these leave it
-/// open. Views show the same lines: together they count as one.
+/// Estimates the ground's normal and the focal length from segments in the views of a camera that only rotates.
+///
+/// Returns the normal, and the logarithm of the focal length over the initial one with its standard deviation. `None`
+/// if too few segments are straight lines of built structures, or if these leave the result undetermined. Views show
+/// the same lines: together they count as one.
 ///
 /// * `focal_std` – prior standard deviation of the focal length's logarithm; 0 holds it.
 pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Option<(LineNormal, [f64; 2])> {
@@ -83,7 +85,7 @@ pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Optio
     if first.lines.len() < MIN_SEGMENTS {
         return None;
     }
-    // The first view alone shows where minima are, at a fifth of the time.
+    // The first view alone locates the minima, in a fifth of the time.
     let mut found: Vec<Minimum> = first.starts().into_iter().filter_map(|start| first.minimum(start)).collect();
     found.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let starts = distinct(&found).into_iter().take(NUM_MINIMA).map(|found| found.at.clone());
@@ -91,8 +93,8 @@ pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Optio
     let mut minima: Vec<Minimum> = starts.filter_map(|start| problem.minimum(start)).collect();
     minima.sort_by(|a, b| a.cost.total_cmp(&b.cost));
     let best = minima.first()?;
-    let share = problem.explained(&best.at);
-    if share < MIN_SHARE {
+    let share = problem.inlier_ratio(&best.at);
+    if share < MIN_INLIER_RATIO {
         return None;
     }
     let (mean, covariance) = mean_of_minima(&minima);
@@ -121,12 +123,12 @@ pub fn horizon(views: &[ViewSegments], camera: &Camera, focal_std: f64) -> Optio
     })
 }
 
-/// Step of derivatives.
+/// Step of numerical derivatives.
 const STEP: f64 = 1e-5;
 /// Difference of inclination, roll and focal length below which minima are the same.
-const SAME: f64 = 0.02;
+const SAME_MINIMUM: f64 = 0.02;
 
-/// A segment on the plane at the distance 1 in front of the camera.
+/// Segment in normalized image coordinates.
 #[derive(Clone)]
 struct Line {
     ends: [Vector2<f64>; 2],
@@ -148,24 +150,24 @@ impl Line {
     }
 }
 
-/// A segment in front of a camera of some focal length.
-struct Sight {
-    /// Unit vector through its middle.
+/// Plane of a segment and the camera center, for some focal length.
+struct SegmentPlane {
+    /// Unit vector to the midpoint of the segment.
     middle: Vector3<f64>,
-    /// Unit normal of its plane with the camera.
+    /// Unit normal of the plane.
     normal: Vector3<f64>,
     std: f64,
 }
 
-impl Sight {
-    /// Deviation from the line towards a vanishing direction, standard deviations.
-    fn deviation(&self, direction: &Vector3<f64>) -> f64 {
+impl SegmentPlane {
+    /// Residual against the line towards a vanishing direction, standard deviations.
+    fn residual(&self, direction: &Vector3<f64>) -> f64 {
         let across = (1.0 - self.middle.dot(direction).powi(2)).max(1e-12).sqrt();
         self.normal.dot(direction) / across / self.std
     }
 }
 
-/// Inclination, roll, logarithm of the focal length, and the azimuths of the level directions.
+/// Inclination, roll, logarithm of the focal length, and the azimuths of the horizontal directions.
 type Parameters = DVector<f64>;
 /// Index of the focal length's logarithm.
 const FOCAL: usize = 2;
@@ -175,7 +177,7 @@ const LEVEL: usize = 3;
 struct Minimum {
     cost: f64,
     at: Parameters,
-    /// Of inclination, roll and focal length, the slope of roads included.
+    /// Covariance of inclination, roll and focal length, including the slope of roads.
     covariance: Matrix3<f64>,
 }
 
@@ -185,19 +187,20 @@ impl Minimum {
     }
 }
 
-/// Minima, the least first, without those that are the same as a lesser one.
+/// Minima, the lowest first, without those that are the same as a lower one.
 fn distinct(minima: &[Minimum]) -> Vec<&Minimum> {
     let mut distinct: Vec<&Minimum> = Vec::new();
     for found in minima {
-        if distinct.iter().all(|other| (found.common() - other.common()).amax() > SAME) {
+        if distinct.iter().all(|other| (found.common() - other.common()).amax() > SAME_MINIMUM) {
             distinct.push(found);
         }
     }
     distinct
 }
 
-/// Mean and covariance of inclination, roll and focal length over all minima by their likelihoods, each of them once:
-/// so that σ covers what lines leave open.
+/// Mean and covariance of inclination, roll and focal length over the distinct minima, weighted by likelihood.
+///
+/// Thus σ covers what the lines leave undetermined.
 fn mean_of_minima(minima: &[Minimum]) -> (Vector3<f64>, Matrix3<f64>) {
     let distinct = distinct(minima);
     let least = distinct.iter().map(|found| found.cost).fold(f64::INFINITY, f64::min);
@@ -211,41 +214,41 @@ fn mean_of_minima(minima: &[Minimum]) -> (Vector3<f64>, Matrix3<f64>) {
 
 struct Problem<'a> {
     lines: &'a [Line],
-    /// For how many segments each of them counts.
+    /// Weight of each segment.
     weight: f64,
     focal_std: f64,
 }
 
 impl Problem<'_> {
-    fn sights(&self, log_focal: f64) -> Vec<Sight> {
+    fn planes(&self, log_focal: f64) -> Vec<SegmentPlane> {
         let depth = log_focal.exp();
-        let sight = |line: &Line| {
+        let plane = |line: &Line| {
             let [from, to] = line.ends.map(|end| line.first_from_view * Vector3::new(end.x, end.y, depth).normalize());
-            Sight { middle: (from + to).normalize(), normal: from.cross(&to).normalize(), std: line.std }
+            SegmentPlane { middle: (from + to).normalize(), normal: from.cross(&to).normalize(), std: line.std }
         };
-        self.lines.iter().map(sight).collect()
+        self.lines.iter().map(plane).collect()
     }
 
-    /// Half of the squares of what is known beforehand.
+    /// Cost of the priors.
     fn prior(&self, roll: f64, log_focal: f64) -> f64 {
         let of_focal = if self.focal_std > 0.0 { (log_focal / self.focal_std).powi(2) } else { 0.0 };
         0.5 * ((roll / ROLL_STD).powi(2) + of_focal)
     }
 
-    /// The best places of a grid that are not close to one another.
+    /// Best points of a grid that are not close to one another.
     fn starts(&self) -> Vec<Parameters> {
-        // As far apart as minima usually are: inclination, and logarithm of the focal length.
+        // Usual distances of minima: inclination, and logarithm of the focal length.
         const OTHER: [f64; 2] = [0.05, 0.08];
         let in_stds: &[f64] =
             if self.focal_std > 0.0 { &[-2.0, -1.5, -1.0, -0.5, 0.0, 0.5, 1.0, 1.5, 2.0] } else { &[0.0] };
         let mut found: Vec<(f64, Parameters)> = Vec::new();
         for log_focal in in_stds.iter().map(|by| by * self.focal_std) {
-            let mut sights = self.sights(log_focal);
-            sights.sort_by(|a, b| a.std.total_cmp(&b.std));
-            sights.truncate(NUM_SEARCHED);
+            let mut planes = self.planes(log_focal);
+            planes.sort_by(|a, b| a.std.total_cmp(&b.std));
+            planes.truncate(NUM_SEARCHED);
             let angles = (1..31).flat_map(|pitch| [-3.0, 0.0, 3.0].map(|roll| [3.0 * f64::from(pitch), roll]));
             for [pitch, roll] in angles.map(|degrees| degrees.map(f64::to_radians)) {
-                let (cost, azimuths) = searched(&sights, Vector2::new(pitch, roll));
+                let (cost, azimuths) = greedy_directions(&planes, Vector2::new(pitch, roll));
                 let at = [pitch, roll, log_focal].into_iter().chain(azimuths);
                 found.push((cost + self.prior(roll, log_focal), DVector::from_iterator(LEVEL + NUM_LEVEL, at)));
             }
@@ -262,33 +265,32 @@ impl Problem<'_> {
         starts
     }
 
-    /// Deviations of the segments from the directions that explain them best, and which these are.
-    fn deviations(&self, at: &Parameters) -> Vec<(f64, usize)> {
+    /// Residual of each segment against its best direction, and the index of that direction.
+    fn residuals(&self, at: &Parameters) -> Vec<(f64, usize)> {
         let directions = directions(at);
-        let least = |sight: &Sight| {
-            let all = directions.iter().map(|direction| sight.deviation(direction)).zip(0..);
+        let least = |plane: &SegmentPlane| {
+            let all = directions.iter().map(|direction| plane.residual(direction)).zip(0..);
             all.min_by(|a, b| a.0.abs().total_cmp(&b.0.abs())).unwrap_or((f64::INFINITY, 0))
         };
-        self.sights(at[FOCAL]).iter().map(least).collect()
+        self.planes(at[FOCAL]).iter().map(least).collect()
     }
 
     fn cost(&self, at: &Parameters) -> f64 {
-        let of_lines = self.deviations(at).iter().map(|(off, _)| 0.5 * LOSS.evaluate(off * off)[0]).sum::<f64>();
+        let of_lines = self.residuals(at).iter().map(|(off, _)| 0.5 * LOSS.evaluate(off * off)[0]).sum::<f64>();
         of_lines * self.weight + self.prior(at[1], at[FOCAL])
     }
 
-    /// Share of the segments that a direction explains.
-    fn explained(&self, at: &Parameters) -> f64 {
-        let explained = self.deviations(at).iter().filter(|(off, _)| off.abs() < EXPLAINED).count();
-        explained as f64 / self.lines.len() as f64
+    /// Inlier ratio of the segments.
+    fn inlier_ratio(&self, at: &Parameters) -> f64 {
+        let num_inliers = self.residuals(at).iter().filter(|(off, _)| off.abs() < MAX_RESIDUAL).count();
+        num_inliers as f64 / self.lines.len() as f64
     }
 
-    /// Derivatives of the deviations by every parameter, and by the slope of the ground against the upright, each of
-    /// the assigned direction.
+    /// Derivatives of the residuals against the assigned directions, by every parameter and by the slope of the ground.
     fn derivatives(&self, at: &Parameters, assigned: &[(f64, usize)]) -> (DMatrix<f64>, DMatrix<f64>) {
         let of = |log_focal: f64, directions: [Vector3<f64>; NUM_LEVEL + 1]| {
-            let off = |(sight, (_, k)): (&Sight, &(f64, usize))| sight.deviation(&directions[*k]);
-            DVector::from_iterator(assigned.len(), self.sights(log_focal).iter().zip(assigned).map(off))
+            let off = |(plane, (_, k)): (&SegmentPlane, &(f64, usize))| plane.residual(&directions[*k]);
+            DVector::from_iterator(assigned.len(), self.planes(log_focal).iter().zip(assigned).map(off))
         };
         let here = of(at[FOCAL], directions(at));
         let moved = |k: usize| {
@@ -306,7 +308,7 @@ impl Problem<'_> {
         (DMatrix::from_columns(&all), DMatrix::from_columns(&[by_slope(0), by_slope(1)]))
     }
 
-    /// The minimum near a start, with its covariance.
+    /// Finds the minimum near a start, with its covariance.
     fn minimum(&self, mut at: Parameters) -> Option<Minimum> {
         let (mut cost, mut damping) = (self.cost(&at), 1e-6);
         for _ in 0..25 {
@@ -333,9 +335,9 @@ impl Problem<'_> {
         Some(Minimum { cost, at, covariance: covariance.fixed_view::<LEVEL, LEVEL>(0, 0).into_owned() })
     }
 
-    /// Information and gradient, and how the gradient moves with the slope of the ground.
+    /// Information, gradient, and derivative of the gradient by the slope of the ground.
     fn normal_equations(&self, at: &Parameters) -> (DMatrix<f64>, DVector<f64>, DMatrix<f64>) {
-        let assigned = self.deviations(at);
+        let assigned = self.residuals(at);
         let (by, by_slope) = self.derivatives(at, &assigned);
         let weights = DVector::from_iterator(
             assigned.len(),
@@ -355,21 +357,23 @@ impl Problem<'_> {
     }
 }
 
-/// Level directions one after the other, by what each explains beyond the upright and those before, with the cost of
-/// what remains.
-fn searched(sights: &[Sight], angles: Vector2<f64>) -> (f64, [f64; NUM_LEVEL]) {
+/// Selects horizontal directions greedily, by what each explains beyond the vertical and those before.
+///
+/// Returns the remaining cost and the azimuths.
+fn greedy_directions(planes: &[SegmentPlane], angles: Vector2<f64>) -> (f64, [f64; NUM_LEVEL]) {
     // Number of azimuths of the search over half a turn, in steps of 2°.
     const NUM_AZIMUTHS: usize = 90;
     let azimuth = |k: usize| std::f64::consts::PI * k as f64 / NUM_AZIMUTHS as f64;
     let costs = |direction: Vector3<f64>| -> Vec<f64> {
-        // Halves: steps of the grid are wider than the deviations of long segments.
-        sights.iter().map(|sight| (sight.deviation(&direction) / 2.0).powi(2).ln_1p()).collect()
+        // Halved: steps of the grid are wider than the standard deviations of long segments.
+        planes.iter().map(|plane| (plane.residual(&direction) / 2.0).powi(2).ln_1p()).collect()
     };
     let mut least = costs(up_in_cam(angles));
     let of_azimuths: Vec<Vec<f64>> = (0..NUM_AZIMUTHS).map(|k| costs(level(angles, azimuth(k)))).collect();
     let mut chosen: Vec<f64> = Vec::new();
     let azimuths = std::array::from_fn(|_| {
-        let is_free = |k: &usize| chosen.iter().all(|other| apart(azimuth(*k), *other) > APART);
+        let is_free =
+            |k: &usize| chosen.iter().all(|other| azimuth_difference(azimuth(*k), *other) > MIN_AZIMUTH_DIFFERENCE);
         let gain = |k: usize| least.iter().zip(&of_azimuths[k]).map(|(a, b)| (a - b).max(0.0)).sum::<f64>();
         let gains = (0..NUM_AZIMUTHS).filter(is_free).map(|k| (gain(k), k));
         let best = gains.max_by(|a, b| a.0.total_cmp(&b.0)).map_or(0, |(_, k)| k);
@@ -380,13 +384,13 @@ fn searched(sights: &[Sight], angles: Vector2<f64>) -> (f64, [f64; NUM_LEVEL]) {
     (least.iter().sum(), azimuths)
 }
 
-/// The upright direction and the level ones.
+/// Vertical direction and horizontal directions.
 fn directions(at: &Parameters) -> [Vector3<f64>; NUM_LEVEL + 1] {
     let angles = Vector2::new(at[0], at[1]);
     std::array::from_fn(|k| if k == 0 { up_in_cam(angles) } else { level(angles, at[LEVEL + k - 1]) })
 }
 
-/// A level direction; the azimuth is from the right of the image.
+/// Horizontal direction; the azimuth is from the right of the image.
 fn level(angles: Vector2<f64>, azimuth: f64) -> Vector3<f64> {
     let up = up_in_cam(angles);
     let right = (Vector3::x() - up * up.x).normalize();
@@ -394,7 +398,7 @@ fn level(angles: Vector2<f64>, azimuth: f64) -> Vector3<f64> {
 }
 
 /// Angle between two undirected azimuths.
-fn apart(a: f64, b: f64) -> f64 {
+fn azimuth_difference(a: f64, b: f64) -> f64 {
     let off = (a - b).rem_euclid(std::f64::consts::PI);
     off.min(std::f64::consts::PI - off)
 }

@@ -1,9 +1,10 @@
 //! Odds that an object moves along the camera's path (eq. 14 to 16 of `docs/maths/motion.md`).
 //!
-//! An object that moves parallel to the camera, at a constant ratio of speeds, is seen exactly as a stationary one of
-//! another size at another distance: no residual tells them apart. Only the ground does. A stationary object meets the
-//! ground at its own depth; an oncoming one would float over it, one ahead would lie behind it. Both hypotheses are
-//! compared by their likelihoods, so that a short baseline or a distant object leaves the question open.
+//! An object that moves parallel to the camera, at a constant ratio of speeds, has the same images as a stationary
+//! object of another size at another distance: residuals do not distinguish them, only the ground does. A stationary
+//! object is in contact with the ground at its own depth. The static points of an oncoming object are above the ground,
+//! those of one ahead behind it. Both hypotheses are compared by their likelihoods, so a short baseline or a distant
+//! object gives no decision.
 
 use std::f64::consts::PI;
 
@@ -11,153 +12,164 @@ use super::classify::{GROUND_TOLERANCE, HORIZON};
 use super::{GroundModel, StaticPoint, View};
 use crate::math::{median, quantile};
 
-/// Depth of the ground below a point of an object, relative to the depth of the static point that explains its track.
+/// Depth of the ground at an object's lower edge, relative to that of the static point above it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ContactDepth {
-    /// Inverse depth of the static point over that of the ground where the object ends below it: 1 for a stationary
-    /// object that is seen down to the ground, less behind the ground, more over it.
+    /// Inverse depth of the static point over that of the ground at the lower edge of the object below it.
+    ///
+    /// It is 1 for a stationary object that is visible down to the ground, smaller behind the ground, larger above it.
     pub ratio: f64,
-    /// Standard deviation by the noise of the track.
+    /// Standard deviation of the ratio by the noise of the track.
     pub std: f64,
-    /// Share by which the ground's inverse depth may be wrong.
+    /// Maximum relative error of the ground's inverse depth.
     pub tolerance: f64,
-    /// True if the object is truncated by the lower image border, so that any part of it may be hidden.
-    pub is_cut: bool,
+    /// True if the lower image border truncates the object, so any part of it may be hidden.
+    pub is_truncated: bool,
 }
 
 impl GroundModel {
-    /// Foot of an object below one of its points.
+    /// Contact depth of an object below one of its points.
     ///
-    /// * `pixel` – where the object ends below the point, in the frame of `point`.
+    /// * `pixel` – lower edge of the object below the point, in the frame of `point`.
     ///
-    /// `None` where the ray meets no ground within the distances at which a vehicle differs from the sky.
-    pub fn foot(&self, view: &View, pixel: [f64; 2], is_cut: bool, point: &StaticPoint) -> Option<ContactDepth> {
+    /// `None` where the ray does not intersect the ground, or beyond the distance at which points differ from the sky.
+    pub fn contact_depth(
+        &self,
+        view: &View,
+        pixel: [f64; 2],
+        is_truncated: bool,
+        point: &StaticPoint,
+    ) -> Option<ContactDepth> {
         let ray = view.camera.normalized_from_pixel(pixel.into()).push(1.0);
         let ground = self.inverse_depth(&view.cam_from_world, ray)?;
         let heights = 1.0 / (ground * self.camera_height(&view.cam_from_world)?);
-        let foot = ContactDepth {
+        let contact = ContactDepth {
             ratio: point.inverse_depth / ground,
             std: point.std / ground,
             tolerance: GROUND_TOLERANCE + heights / HORIZON,
-            is_cut,
+            is_truncated,
         };
-        let is_usable = ground > 0.0 && heights < HORIZON && foot.ratio.is_finite() && foot.std.is_finite();
-        is_usable.then_some(foot)
+        let is_usable = ground > 0.0 && heights < HORIZON && contact.ratio.is_finite() && contact.std.is_finite();
+        is_usable.then_some(contact)
     }
 }
 
-/// Fewest points whose feet are compared: fewer may all lie on a roof.
-const MIN_FEET: usize = 5;
-/// Largest share of its height by which an object that is seen as a whole is hidden from below.
-const MOST_HIDDEN: f64 = 0.5;
-/// Shares of the height that are tried.
-const NUM_SHARES: usize = 16;
-/// A tolerance is a limit that is itself known to a quarter.
+/// Minimum number of points with a contact depth: fewer may all be on the roof.
+const MIN_CONTACTS: usize = 5;
+/// Maximum occluded share of its height, from below, of an object that the image border does not truncate.
+const MAX_OCCLUDED: f64 = 0.5;
+/// Number of occluded shares over which the likelihoods are averaged.
+const NUM_OCCLUDED_SHARES: usize = 16;
+/// Softness of the ends of the uniform density, as a share of its half-width: a tolerance is itself known to a quarter.
 const SOFTNESS: f64 = 0.25;
-/// Share of the points that are lower than what counts as the object's top.
+/// Quantile of the heights of the points that is the top of the object.
 const TOP: f64 = 0.9;
 
-/// Common properties of the feet of an object, and the height of its top.
+/// Medians of the contact depths of an object, and the height of its top.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct ContactEvidence {
-    foot: ContactDepth,
+    contact: ContactDepth,
     /// Height of the top over the ground if the object is stationary, in heights of the camera.
     top: f64,
 }
 
 impl ContactEvidence {
-    /// The medians of all feet; `None` for fewer than five.
+    /// Medians of all contact depths; `None` for fewer than five.
     ///
-    /// * `heights` – of the points over the ground, in heights of the camera, where they are known.
-    pub(super) fn of(feet: &[ContactDepth], mut heights: Vec<f64>) -> Option<Self> {
-        if feet.len() < MIN_FEET {
+    /// * `heights` – known heights of the points over the ground, in heights of the camera.
+    pub(super) fn of(contacts: &[ContactDepth], mut heights: Vec<f64>) -> Option<Self> {
+        if contacts.len() < MIN_CONTACTS {
             return None;
         }
-        let middle = |of: fn(&ContactDepth) -> f64| median(feet.iter().map(of).collect());
-        let num_cut = feet.iter().filter(|foot| foot.is_cut).count();
-        let foot = ContactDepth {
-            ratio: middle(|foot| foot.ratio)?,
-            std: middle(|foot| foot.std)?,
-            tolerance: middle(|foot| foot.tolerance)?,
-            is_cut: 2 * num_cut > feet.len(),
+        let median_of = |of: fn(&ContactDepth) -> f64| median(contacts.iter().map(of).collect());
+        let num_truncated = contacts.iter().filter(|contact| contact.is_truncated).count();
+        let contact = ContactDepth {
+            ratio: median_of(|contact| contact.ratio)?,
+            std: median_of(|contact| contact.std)?,
+            tolerance: median_of(|contact| contact.tolerance)?,
+            is_truncated: 2 * num_truncated > contacts.len(),
         };
         // Without a known depth the top may be as high as the camera.
         let top = quantile(&mut heights, TOP).unwrap_or(1.0).max(0.0);
-        let lowest = if foot.ratio > 1.0 { 1.0 - 1.0 / foot.ratio } else { 0.0 };
-        Some(Self { foot, top: top.max(lowest) })
+        let lowest = if contact.ratio > 1.0 { 1.0 - 1.0 / contact.ratio } else { 0.0 };
+        Some(Self { contact, top: top.max(lowest) })
     }
 
-    /// Returns true if the foot, if stationary, would be over the ground rather than behind it.
+    /// Returns true if the static points are above the ground rather than behind it.
     pub(super) fn floats(&self) -> bool {
-        self.foot.ratio > 1.0
+        self.contact.ratio > 1.0
     }
 
-    /// Likelihood of the foot if the object moves along the camera's path over that if it is stationary.
+    /// Likelihood ratio of motion along the camera's path over a stationary object.
     pub(super) fn odds_of_motion(&self) -> f64 {
-        let mean =
-            |likelihood: &dyn Fn(f64) -> f64| self.hidden_shares().map(likelihood).sum::<f64>() / NUM_SHARES as f64;
-        let moving = mean(&|hidden| self.likelihood_moving(hidden));
-        let stationary = mean(&|hidden| self.likelihood_stationary(hidden));
+        let mean = |likelihood: &dyn Fn(f64) -> f64| {
+            self.occluded_shares().map(likelihood).sum::<f64>() / NUM_OCCLUDED_SHARES as f64
+        };
+        let moving = mean(&|occluded| self.likelihood_moving(occluded));
+        let stationary = mean(&|occluded| self.likelihood_stationary(occluded));
         moving / stationary.max(f64::MIN_POSITIVE)
     }
 
-    /// Shares of its height by which an object may be hidden from below, all equally likely: most are hidden by little.
-    fn hidden_shares(&self) -> impl Iterator<Item = f64> + use<> {
-        let most = if self.foot.is_cut { 1.0 } else { MOST_HIDDEN };
-        (0..NUM_SHARES).map(move |k| most * ((k as f64 + 0.5) / NUM_SHARES as f64).powi(3))
+    /// Equally likely occluded shares of the object's height, from below; most are small.
+    fn occluded_shares(&self) -> impl Iterator<Item = f64> + use<> {
+        let most = if self.contact.is_truncated { 1.0 } else { MAX_OCCLUDED };
+        (0..NUM_OCCLUDED_SHARES).map(move |k| most * ((k as f64 + 0.5) / NUM_OCCLUDED_SHARES as f64).powi(3))
     }
 
-    /// Density of the ratio of a stationary object: that of its lowest visible height, wrong by no more than the
-    /// ground's tolerance, with the track's noise.
-    fn likelihood_stationary(&self, hidden: f64) -> f64 {
-        let lowest = hidden * self.top;
+    /// Density of the ratio for a stationary object.
+    ///
+    /// It is uniform within the ground's tolerance around the ratio of the lowest visible height, softened by the
+    /// noise.
+    fn likelihood_stationary(&self, occluded: f64) -> f64 {
+        let lowest = occluded * self.top;
         if lowest >= 1.0 {
             return 0.0;
         }
         let expected = 1.0 / (1.0 - lowest);
-        let width = self.foot.tolerance * expected;
-        let std = self.foot.std.max(SOFTNESS * width);
-        let below = |limit: f64| 1.0 / (1.0 + (-LOGISTIC * (self.foot.ratio - expected + limit) / std).exp());
+        let width = self.contact.tolerance * expected;
+        let std = self.contact.std.max(SOFTNESS * width);
+        let below = |limit: f64| 1.0 / (1.0 + (-LOGISTIC * (self.contact.ratio - expected + limit) / std).exp());
         (below(width) - below(-width)) / (2.0 * width)
     }
 
-    /// Density of the ratio of an object that moves along the camera's path. The ratio of two velocities that are
-    /// normally distributed alike has Cauchy's distribution; noise makes it wider.
-    fn likelihood_moving(&self, hidden: f64) -> f64 {
-        let ContactDepth { ratio, std, tolerance, .. } = self.foot;
-        let scale = 1.0 - hidden * ratio * (1.0 - self.top);
-        // One minus the ratio of velocities, and its derivative by the ratio that is observed.
-        let relative = (1.0 - hidden) * ratio / scale;
-        let slope = (1.0 - hidden) / (scale * scale);
+    /// Density of the ratio for an object that moves along the camera's path.
+    ///
+    /// The ratio of two velocities with equal normal distributions has the Cauchy distribution; noise widens it.
+    fn likelihood_moving(&self, occluded: f64) -> f64 {
+        let ContactDepth { ratio, std, tolerance, .. } = self.contact;
+        let scale = 1.0 - occluded * ratio * (1.0 - self.top);
+        // One minus the ratio of velocities, and its derivative by the observed ratio.
+        let relative = (1.0 - occluded) * ratio / scale;
+        let slope = (1.0 - occluded) / (scale * scale);
         let spread = 1.0 + slope * (std + tolerance * ratio.abs());
         slope / (PI * spread * (1.0 + ((1.0 - relative) / spread).powi(2)))
     }
 }
 
-/// Factor with which the logistic function is nearest to the normal distribution's.
+/// Scale at which the logistic function is closest to the normal distribution function.
 const LOGISTIC: f64 = 1.702;
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    /// Odds of motion of a car 1.5 m high at a distance, with tracks good to 3 % of the inverse depth.
+    /// Odds of motion of a car 1.5 m high, with tracks whose inverse depth has a relative σ of 3 %.
     ///
     /// * `camera_m` – height of the camera.
-    /// * `speed` – its speed over the camera's; negative for an oncoming one.
-    /// * `hidden_m` – height of its lowest visible part.
+    /// * `speed` – speed of the car over that of the camera; negative for an oncoming car.
+    /// * `hidden_m` – height of the lowest visible part.
     fn odds(camera_m: f64, distance_m: f64, speed: f64, hidden_m: f64) -> f64 {
         let [lowest, top] = [hidden_m / camera_m, 1.5 / camera_m];
         // A static object that explains the tracks is 1 / (1 − speed) times as far away and as large.
         let ratio = (1.0 - speed) / (1.0 - lowest);
         let apparent_top = 1.0 - (1.0 - top) / (1.0 - speed);
         let tolerance = GROUND_TOLERANCE + distance_m / camera_m / HORIZON;
-        let foot = ContactDepth { ratio, std: 0.03 * ratio, tolerance, is_cut: false };
-        ContactEvidence::of(&[foot; MIN_FEET], vec![apparent_top; MIN_FEET]).unwrap().odds_of_motion()
+        let contact = ContactDepth { ratio, std: 0.03 * ratio, tolerance, is_truncated: false };
+        ContactEvidence::of(&[contact; MIN_CONTACTS], vec![apparent_top; MIN_CONTACTS]).unwrap().odds_of_motion()
     }
 
     #[test]
-    fn near_cars_are_told_apart_by_their_feet_and_far_ones_are_not() {
+    fn near_cars_are_distinguished_by_their_contact_and_far_ones_are_not() {
         for camera_m in [1.2, 1.65] {
             for hidden_m in [0.0, 0.25] {
                 let parked = odds(camera_m, 10.0, 0.0, hidden_m);

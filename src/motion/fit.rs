@@ -1,55 +1,56 @@
-//! The standing point that explains a track best (eq. 1 to 4 of `docs/maths/motion.md`).
+//! Fit of a static point to a track (eq. 1 to 4 of `docs/maths/motion.md`).
 
 use nalgebra::{Matrix2x3, Matrix3, Point2, Vector2, Vector3};
 
 use super::{PointTrack, Surroundings, View};
 
-/// A standing point as one track sees it.
+/// Static point that explains a track best.
 pub(super) struct StaticFit {
     /// Frame in whose camera the point is given.
     pub reference: u32,
     /// The point is (x, y, 1) / inverse depth in that camera.
     pub ray: Vector3<f64>,
-    /// Inverse depth; negative for what would lie behind the camera.
+    /// Inverse depth; negative for a point behind the camera.
     pub inverse_depth: f64,
-    /// Standard deviation of the inverse depth at a noise of one pixel.
+    /// Standard deviation of the inverse depth for a noise of one pixel.
     pub inverse_depth_per_px: f64,
-    /// Maximum shift of the track's positions by a unit of inverse depth, pixels.
+    /// Maximum image displacement by a unit of inverse depth, pixels.
     pub shift_px: f64,
-    /// Root mean square residual per degree of freedom, pixels.
+    /// RMS residual per degree of freedom, pixels.
     pub rms_px: f64,
-    /// Largest residual, pixels.
+    /// Maximum residual, pixels.
     pub max_px: f64,
 }
 
-/// One observation: how its camera stands to the reference, and where the point is seen on the plane z = 1.
+/// Observation: pose of its camera relative to the reference, and the point on the plane z = 1.
 struct ViewObservation {
     rotation: Matrix3<f64>,
     translation: Vector3<f64>,
-    seen: Vector2<f64>,
+    point: Vector2<f64>,
     focal: f64,
 }
 
-/// A track needs as many registered frames: four give five equations to spare.
+/// Minimum number of registered frames of a track: four give five redundant equations.
 const MIN_VIEWS: usize = 4;
-/// Frames of a track that are looked at, evenly spread over its life.
+/// Maximum number of frames of a track that are used, evenly spaced over its life.
 const MAX_VIEWS: usize = 24;
 
-/// Fits a standing point to a track in the frames whose cameras are known, with an inverse depth of at most
-/// `max_inverse_depth`. `None` if there are too few.
+/// Fits a static point to a track, with an inverse depth of at most `max_inverse_depth`.
+///
+/// Only frames with known cameras are used; `None` if there are too few.
 pub(super) fn fit_static(track: &PointTrack, surroundings: &Surroundings, max_inverse_depth: f64) -> Option<StaticFit> {
     let frames = sampled(track, surroundings);
     if frames.len() < MIN_VIEWS {
         return None;
     }
     let reference = frames[frames.len() / 2];
-    let sights = sights(track, surroundings, &frames, reference)?;
+    let observations = relative_observations(track, surroundings, &frames, reference)?;
     let start = undistorted(surroundings.view(reference)?, track.at(reference)?);
     let limit = |inverse_depth: f64| inverse_depth.clamp(-max_inverse_depth, max_inverse_depth);
-    let mut point = Vector3::new(start.x, start.y, limit(linear_inverse_depth(&sights, start)));
+    let mut point = Vector3::new(start.x, start.y, limit(linear_inverse_depth(&observations, start)));
     let mut normal = Matrix3::zeros();
     for _ in 0..6 {
-        let (hessian, gradient) = normal_equations(&sights, &point)?;
+        let (hessian, gradient) = normal_equations(&observations, &point)?;
         normal = hessian;
         let step = damped(&hessian).try_inverse()? * -gradient;
         point += step;
@@ -58,10 +59,10 @@ pub(super) fn fit_static(track: &PointTrack, surroundings: &Surroundings, max_in
             break;
         }
     }
-    summary(&sights, point, &normal, reference)
+    summary(&observations, point, &normal, reference)
 }
 
-/// Registered frames of a track, evenly thinned out, first and last included.
+/// Registered frames of a track, evenly subsampled, including the first and last.
 fn sampled(track: &PointTrack, surroundings: &Surroundings) -> Vec<u32> {
     let registered: Vec<u32> = (track.first..track.end()).filter(|&f| surroundings.view(f).is_some()).collect();
     if registered.len() <= MAX_VIEWS {
@@ -75,33 +76,33 @@ fn undistorted(view: &View, pixel: [f64; 2]) -> Vector2<f64> {
     view.camera.normalized_from_pixel(Point2::from(pixel))
 }
 
-fn sights(
+fn relative_observations(
     track: &PointTrack,
     surroundings: &Surroundings,
     frames: &[u32],
     reference: u32,
 ) -> Option<Vec<ViewObservation>> {
     let world_from_reference = surroundings.view(reference)?.cam_from_world.inverse();
-    let sight = |&frame: &u32| {
+    let observation = |&frame: &u32| {
         let view = surroundings.view(frame)?;
         let relative = view.cam_from_world * world_from_reference;
         Some(ViewObservation {
             rotation: *relative.rotation.to_rotation_matrix().matrix(),
             translation: relative.translation,
-            seen: undistorted(view, track.at(frame)?),
+            point: undistorted(view, track.at(frame)?),
             focal: view.camera.mean_focal(),
         })
     };
-    frames.iter().map(sight).collect()
+    frames.iter().map(observation).collect()
 }
 
-/// The inverse depth of a ray that serves all sights best, by linear least squares (eq. 2).
-fn linear_inverse_depth(sights: &[ViewObservation], ray: Vector2<f64>) -> f64 {
+/// Inverse depth along a ray by linear least squares over all observations (eq. 2).
+fn linear_inverse_depth(observations: &[ViewObservation], ray: Vector2<f64>) -> f64 {
     let (mut product, mut square) = (0.0, 0.0);
-    for sight in sights {
-        let turned = sight.rotation * Vector3::new(ray.x, ray.y, 1.0);
-        let constant = turned.xy() - sight.seen * turned.z;
-        let slope = sight.translation.xy() - sight.seen * sight.translation.z;
+    for observation in observations {
+        let turned = observation.rotation * Vector3::new(ray.x, ray.y, 1.0);
+        let constant = turned.xy() - observation.point * turned.z;
+        let slope = observation.translation.xy() - observation.point * observation.translation.z;
         product += constant.dot(&slope);
         square += slope.norm_squared();
     }
@@ -109,29 +110,32 @@ fn linear_inverse_depth(sights: &[ViewObservation], ray: Vector2<f64>) -> f64 {
 }
 
 /// Residual in pixels and its derivatives by x, y and inverse depth; `None` behind the camera.
-fn residual(sight: &ViewObservation, point: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
-    let seen = sight.rotation * Vector3::new(point.x, point.y, 1.0) + sight.translation * point.z;
-    if seen.z < 1e-3 {
+fn residual(observation: &ViewObservation, point: &Vector3<f64>) -> Option<(Vector2<f64>, Matrix2x3<f64>)> {
+    let in_view = observation.rotation * Vector3::new(point.x, point.y, 1.0) + observation.translation * point.z;
+    if in_view.z < 1e-3 {
         return None;
     }
-    let normalized = seen.xy() / seen.z;
-    let by_seen = Matrix2x3::new(1.0, 0.0, -normalized.x, 0.0, 1.0, -normalized.y) * (sight.focal / seen.z);
-    let columns =
-        Matrix3::from_columns(&[sight.rotation.column(0).into(), sight.rotation.column(1).into(), sight.translation]);
-    Some(((normalized - sight.seen) * sight.focal, by_seen * columns))
+    let normalized = in_view.xy() / in_view.z;
+    let by_in_view = Matrix2x3::new(1.0, 0.0, -normalized.x, 0.0, 1.0, -normalized.y) * (observation.focal / in_view.z);
+    let columns = Matrix3::from_columns(&[
+        observation.rotation.column(0).into(),
+        observation.rotation.column(1).into(),
+        observation.translation,
+    ]);
+    Some(((normalized - observation.point) * observation.focal, by_in_view * columns))
 }
 
-fn normal_equations(sights: &[ViewObservation], point: &Vector3<f64>) -> Option<(Matrix3<f64>, Vector3<f64>)> {
+fn normal_equations(observations: &[ViewObservation], point: &Vector3<f64>) -> Option<(Matrix3<f64>, Vector3<f64>)> {
     let (mut hessian, mut gradient) = (Matrix3::zeros(), Vector3::zeros());
-    for sight in sights {
-        let (residual, jacobian) = residual(sight, point)?;
+    for observation in observations {
+        let (residual, jacobian) = residual(observation, point)?;
         hessian += jacobian.transpose() * jacobian;
         gradient += jacobian.transpose() * residual;
     }
     Some((hessian, gradient))
 }
 
-/// A camera that does not move says nothing of the depth, which then stays where it is.
+/// Damps the depth, which a camera without translation does not determine: it then keeps its value.
 fn damped(hessian: &Matrix3<f64>) -> Matrix3<f64> {
     let mut damped = *hessian;
     damped[(2, 2)] += 1e-9 * hessian[(2, 2)] + 1e-9;
@@ -139,14 +143,14 @@ fn damped(hessian: &Matrix3<f64>) -> Matrix3<f64> {
 }
 
 fn summary(
-    sights: &[ViewObservation],
+    observations: &[ViewObservation],
     point: Vector3<f64>,
     normal: &Matrix3<f64>,
     reference: u32,
 ) -> Option<StaticFit> {
     let (mut sum, mut max_sq, mut shift_px) = (0.0, 0.0f64, 0.0f64);
-    for sight in sights {
-        let (residual, jacobian) = residual(sight, &point)?;
+    for observation in observations {
+        let (residual, jacobian) = residual(observation, &point)?;
         sum += residual.norm_squared();
         max_sq = max_sq.max(residual.norm_squared());
         shift_px = shift_px.max(jacobian.column(2).norm());
@@ -158,7 +162,7 @@ fn summary(
         inverse_depth: point.z,
         inverse_depth_per_px: variance.max(0.0).sqrt(),
         shift_px,
-        rms_px: (sum / (2 * sights.len() - 3) as f64).sqrt(),
+        rms_px: (sum / (2 * observations.len() - 3) as f64).sqrt(),
         max_px: max_sq.sqrt(),
     })
 }

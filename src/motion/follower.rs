@@ -1,11 +1,10 @@
-//! Points followed through all frames, all over the picture.
+//! Point tracking through all frames, all over the image.
 //!
-//! Pyramidal Lucas-Kanade there and back. A point that has been followed before starts at
-//! where its last step leads, and needs no coarse pictures, in which a small vehicle is one with the road; what is new
-//! is looked for through the whole pyramid, and what is lost, too, where the picture moves otherwise than before. New
-//! points are the strongest corners (J. Shi, C. Tomasi, *Good Features to Track*, 1994) of the cells of a grid in which
-//! no point is. A cell whose point did not last rests for some frames: of ten new points four do not last, most of them
-//! again and again in the same cells.
+//! Pyramidal Lucas-Kanade with a forward-backward check. A point with a previous step starts at its linear prediction,
+//! at the finest level only: at coarse levels a small vehicle merges with the road. New points are searched through the
+//! whole pyramid, and lost points as well if the motion of the image has changed. New points are the strongest corners
+//! (J. Shi, C. Tomasi, *Good Features to Track*, 1994) of the grid cells without a point. A cell whose point was lost
+//! soon is blocked for some frames: of ten new points four are lost soon, most of them repeatedly in the same cells.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -17,12 +16,12 @@ use crate::image::{CornerStrength, LucasKanade, Picture, Pyramid, Returned, gray
 use crate::math::lower_quantile;
 use crate::networks::PerceptionError;
 
-/// Where one point was seen, in frames that follow one another without a gap.
+/// Positions of one point in consecutive frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PointTrack {
-    /// Index of the first frame, counted from the first one that the follower was given.
+    /// Index of the first frame, counted from the first frame of the follower.
     pub first: u32,
-    /// Pixels of the whole frame, the first pixel's centre at (0.5, 0.5); one entry per frame.
+    /// Pixels of the full frame, the center of the first pixel at (0.5, 0.5); one entry per frame.
     pub pixels: Vec<[f32; 2]>,
 }
 
@@ -32,34 +31,33 @@ impl PointTrack {
         self.first + self.pixels.len() as u32
     }
 
-    /// Where the point is in a frame; `None` if it is not seen there.
+    /// Position of the point in a frame; `None` if it is not tracked there.
     pub fn at(&self, frame: u32) -> Option<[f64; 2]> {
         let k = frame.checked_sub(self.first)? as usize;
         self.pixels.get(k).map(|pixel| pixel.map(f64::from))
     }
 }
 
-/// Longer side at which pictures are looked at, pixels; larger ones are shrunk.
+/// Maximum longer side of the images that are processed, pixels; larger ones are downscaled.
 pub(super) const MAX_SIDE_PX: u32 = 1280;
-/// Side of the grid's cells, each of which starts a point when it has none, pixels: a vehicle of 30 pixels has some
-/// eight.
+/// Side of the grid's cells, pixels. A cell without a point starts one: a vehicle of 30 pixels has about eight points.
 pub(super) const SPACING_PX: u32 = 10;
-/// Points followed at a time, at the most.
+/// Maximum number of points at a time.
 const MAX_POINTS: usize = 8000;
-/// Smallest corner strength of a new point, relative to that which one cell in ten exceeds.
+/// Minimum corner strength of a new point, relative to the 0.9 quantile of the cells.
 const QUALITY: f32 = 0.01;
-/// Half the side of the window that is followed, pixels.
+/// Half the side of the tracked window, pixels.
 const WINDOW_RADIUS_PX: usize = 5;
-/// Levels of the pyramid above the picture.
+/// Number of pyramid levels above the full resolution.
 const PYRAMID_LEVELS: usize = 3;
-/// Largest distance between a point and where following it back leads, pixels.
+/// Maximum forward-backward error, pixels.
 const MAX_ROUND_TRIP_PX: f32 = 0.6;
-/// Largest mean difference between the windows of two successive frames, in grey levels.
+/// Maximum mean difference between the windows of two successive frames, in gray levels.
 const MAX_DIFFERENCE: f32 = 20.0;
-/// Shortest track that is kept, frames.
+/// Minimum length of a track, frames.
 const MIN_TRACK_LENGTH: usize = 4;
 
-/// Indices of the tracks that see each frame, from the first frame on.
+/// Indices of the tracks alive in each frame, from the first frame on.
 pub fn alive(tracks: &[PointTrack]) -> impl Iterator<Item = Vec<usize>> {
     let mut starting: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for (k, track) in tracks.iter().enumerate() {
@@ -73,24 +71,24 @@ pub fn alive(tracks: &[PointTrack]) -> impl Iterator<Item = Vec<usize>> {
     })
 }
 
-/// Follows points frame by frame. The same frames give the same tracks, whatever the number of threads.
+/// Point tracker, frame by frame. The same frames give the same tracks, with any number of threads.
 pub struct PointFollower {
     size: (u32, u32),
-    work: (u32, u32),
+    working_size: (u32, u32),
     previous: Option<Arc<Pyramid>>,
     live: Vec<Live>,
     done: Vec<PointTrack>,
     num_frames: u32,
-    /// Per cell of the grid the first frame in which it may start a point again.
-    rested: Vec<u32>,
+    /// First frame in which a cell may start a point, per cell of the grid.
+    blocked_until: Vec<u32>,
 }
 
-/// Where at least so many of the points are found where their last steps lead, the others are hidden.
+/// Share of points found near their prediction from which the other points count as occluded.
 const MIN_NEAR: f64 = 0.5;
-/// Frames for which a cell rests.
-const REST: u32 = 2;
+/// Number of frames for which a cell is blocked.
+const BLOCKED_FRAMES: u32 = 2;
 
-/// A point that is being followed; positions in pixels of the working size.
+/// Live track of a point; positions in pixels of the working size.
 struct Live {
     first: u32,
     positions: Vec<Point2<f32>>,
@@ -101,14 +99,14 @@ impl Live {
         self.positions.last().copied().unwrap_or_default()
     }
 
-    /// Where the last step leads; `None` for a point that has made none.
+    /// Linear prediction by the last step; `None` without one.
     fn predicted(&self) -> Option<Point2<f32>> {
         let [.., before, last] = self.positions.as_slice() else { return None };
         Some(*last + (*last - *before))
     }
 }
 
-/// Through the whole pyramid.
+/// Tracker through the whole pyramid.
 const TRACKER: LucasKanade = LucasKanade {
     window_radius_px: WINDOW_RADIUS_PX,
     num_smaller: PYRAMID_LEVELS,
@@ -118,17 +116,17 @@ const TRACKER: LucasKanade = LucasKanade {
 };
 
 impl PointFollower {
-    /// Nothing seen yet; frames will have `size` (width, height).
+    /// Follower for frames of `size` (width, height).
     pub fn new(size: (u32, u32)) -> Self {
-        let work = scale_to_fit(size.0, size.1, MAX_SIDE_PX);
-        let (previous, live, done, rested) = (None, Vec::new(), Vec::new(), Vec::new());
-        let mut follower = Self { size, work, previous, live, done, num_frames: 0, rested };
+        let working_size = scale_to_fit(size.0, size.1, MAX_SIDE_PX);
+        let (previous, live, done, blocked_until) = (None, Vec::new(), Vec::new(), Vec::new());
+        let mut follower = Self { size, working_size, previous, live, done, num_frames: 0, blocked_until };
         let (cols, rows) = follower.grid();
-        follower.rested = vec![0; cols * rows];
+        follower.blocked_until = vec![0; cols * rows];
         follower
     }
 
-    /// Takes the next frame. Frames must follow one another as in the source.
+    /// Tracks points into the next frame. Frames must be in the order of the source.
     ///
     /// # Errors
     /// [`PerceptionError::SizeMismatch`] for a frame of another size, [`PerceptionError::Image`] if OpenCV fails.
@@ -138,18 +136,18 @@ impl PointFollower {
             let what = format!("frame {}", self.num_frames);
             return Err(PerceptionError::SizeMismatch { what, expected: self.size, found });
         }
-        let is_whole = self.work == self.size;
+        let is_whole = self.working_size == self.size;
         let pyramid = match is_whole {
             true => picture.pyramid(PYRAMID_LEVELS)?,
             false => {
-                let smaller = resize_gray(&gray_from_rgb(picture.rgb())?, self.work.0, self.work.1)?;
+                let smaller = resize_gray(&gray_from_rgb(picture.rgb())?, self.working_size.0, self.working_size.1)?;
                 Arc::new(Pyramid::new(smaller, PYRAMID_LEVELS)?)
             }
         };
         if let Some(previous) = self.previous.take() {
             self.follow(&previous, &pyramid);
         }
-        self.drop_crowded();
+        self.drop_duplicates();
         match is_whole {
             true => self.find_new(picture.corners(&pyramid)),
             false => self.find_new(&CornerStrength::of(pyramid.picture())),
@@ -159,7 +157,7 @@ impl PointFollower {
         Ok(())
     }
 
-    /// All tracks of some length, in the order of their first frames.
+    /// Returns all tracks of the minimum length or more, in the order of their first frames.
     pub fn finish(mut self) -> Vec<PointTrack> {
         for live in std::mem::take(&mut self.live) {
             self.end(live);
@@ -174,19 +172,19 @@ impl PointFollower {
         let step = |tracker: LucasKanade, chosen: &[usize], guesses: &[Point2<f32>]| -> Vec<Option<Point2<f32>>> {
             let from: Vec<Point2<f32>> = chosen.iter().map(|&k| live[k].last()).collect();
             let all = tracker.there_and_back(previous, next, &from, guesses).into_iter();
-            all.map(|returned| Some(returned.filter(|returned| self.is_found(returned))?.position)).collect()
+            all.map(|returned| Some(returned.filter(|returned| self.is_consistent(returned))?.position)).collect()
         };
-        // Where the last step leads, in the finest pictures alone; then where the point was, through the whole pyramid.
+        // From the prediction at the finest level only; then from the last position, through the whole pyramid.
         let (known, predicted): (Vec<usize>, Vec<Point2<f32>>) =
             live.iter().enumerate().filter_map(|(k, point)| Some((k, point.predicted()?))).unzip();
         let near = step(TRACKER.near(), &known, &predicted);
         known.iter().zip(near).for_each(|(&k, position)| found[k] = position);
         let num_near = found.iter().flatten().count();
-        let is_hidden = |k: usize| live[k].predicted().is_some() && num_near as f64 >= MIN_NEAR * known.len() as f64;
-        let open: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none() && !is_hidden(k)).collect();
-        let places: Vec<Point2<f32>> = open.iter().map(|&k| live[k].last()).collect();
-        let anywhere = step(TRACKER, &open, &places);
-        open.iter().zip(anywhere).for_each(|(&k, position)| found[k] = position);
+        let is_occluded = |k: usize| live[k].predicted().is_some() && num_near as f64 >= MIN_NEAR * known.len() as f64;
+        let remaining: Vec<usize> = (0..live.len()).filter(|&k| found[k].is_none() && !is_occluded(k)).collect();
+        let last_positions: Vec<Point2<f32>> = remaining.iter().map(|&k| live[k].last()).collect();
+        let refound = step(TRACKER, &remaining, &last_positions);
+        remaining.iter().zip(refound).for_each(|(&k, position)| found[k] = position);
         for (mut point, found) in live.into_iter().zip(found) {
             match found {
                 Some(position) => {
@@ -194,42 +192,42 @@ impl PointFollower {
                     self.live.push(point);
                 }
                 None => {
-                    self.rest_after(&point);
+                    self.block_cell(&point);
                     self.end(point);
                 }
             }
         }
     }
 
-    /// Lets the cell of a point rest that was lost too soon.
-    fn rest_after(&mut self, point: &Live) {
+    /// Blocks the cell of a point that was lost before the minimum track length.
+    fn block_cell(&mut self, point: &Live) {
         if point.positions.len() < MIN_TRACK_LENGTH {
             let cell = self.cell(point.last());
-            self.rested[cell] = self.num_frames + REST;
+            self.blocked_until[cell] = self.num_frames + BLOCKED_FRAMES;
         }
     }
 
-    /// Returns true if a point came back to where it was, and looks the same.
-    fn is_found(&self, returned: &Returned) -> bool {
+    /// Returns true if a point passes the forward-backward check, has the same appearance, and is in the image.
+    fn is_consistent(&self, returned: &Returned) -> bool {
         let is_same = returned.round_trip_px <= MAX_ROUND_TRIP_PX && returned.difference <= MAX_DIFFERENCE;
         is_same && self.is_inside(returned.position)
     }
 
     fn is_inside(&self, position: Point2<f32>) -> bool {
         let inside = |x: f32, side: u32| x >= 1.5 && x <= side as f32 - 1.5;
-        inside(position.x, self.work.0) && inside(position.y, self.work.1)
+        inside(position.x, self.working_size.0) && inside(position.y, self.working_size.1)
     }
 
-    /// Of points that have come together, the one that was found first stays: others slid along an edge.
-    fn drop_crowded(&mut self) {
+    /// Drops points that have converged on an older point: they slid along an edge.
+    fn drop_duplicates(&mut self) {
         let bin_px = 0.3 * SPACING_PX as f32;
-        let cols = (self.work.0 as f32 / bin_px) as usize + 1;
-        let rows = (self.work.1 as f32 / bin_px) as usize + 1;
-        let mut taken = vec![false; rows * cols];
+        let cols = (self.working_size.0 as f32 / bin_px) as usize + 1;
+        let rows = (self.working_size.1 as f32 / bin_px) as usize + 1;
+        let mut occupied = vec![false; rows * cols];
         for point in std::mem::take(&mut self.live) {
             let last = point.last();
             let bin = (last.y / bin_px) as usize * cols + (last.x / bin_px) as usize;
-            if std::mem::replace(&mut taken[bin.min(rows * cols - 1)], true) {
+            if std::mem::replace(&mut occupied[bin.min(rows * cols - 1)], true) {
                 self.end(point);
             } else {
                 self.live.push(point);
@@ -241,18 +239,18 @@ impl PointFollower {
     fn find_new(&mut self, strength: &CornerStrength) {
         let corners = self.corners(strength);
         let mut strengths: Vec<f64> = corners.iter().map(|corner| f64::from(corner.1)).collect();
-        let least = QUALITY * lower_quantile(&mut strengths, 0.9).unwrap_or(0.0) as f32;
-        let taken = self.taken_cells();
-        let is_free = |p: Point2<f32>| !taken[self.cell(p)] && self.rested[self.cell(p)] <= self.num_frames;
+        let min_strength = QUALITY * lower_quantile(&mut strengths, 0.9).unwrap_or(0.0) as f32;
+        let occupied = self.occupied_cells();
+        let is_free = |p: Point2<f32>| !occupied[self.cell(p)] && self.blocked_until[self.cell(p)] <= self.num_frames;
         let mut new: Vec<(Point2<f32>, f32)> =
-            corners.into_iter().filter(|(p, s)| *s > least && *s > 1e-6 && is_free(*p)).collect();
+            corners.into_iter().filter(|(p, s)| *s > min_strength && *s > 1e-6 && is_free(*p)).collect();
         new.sort_by(|a, b| b.1.total_cmp(&a.1));
-        let room = MAX_POINTS.saturating_sub(self.live.len());
+        let num_free = MAX_POINTS.saturating_sub(self.live.len());
         let first = self.num_frames;
-        self.live.extend(new.into_iter().take(room).map(|(p, _)| Live { first, positions: vec![p] }));
+        self.live.extend(new.into_iter().take(num_free).map(|(p, _)| Live { first, positions: vec![p] }));
     }
 
-    /// The strongest place of every cell with its strength, row by row.
+    /// Strongest corner of every cell with its strength, row by row.
     fn corners(&self, strength: &CornerStrength) -> Vec<(Point2<f32>, f32)> {
         let (cols, rows) = self.grid();
         let mut best = vec![(Point2::origin(), 0.0f32); cols * rows];
@@ -272,18 +270,18 @@ impl PointFollower {
         best
     }
 
-    fn taken_cells(&self) -> Vec<bool> {
+    fn occupied_cells(&self) -> Vec<bool> {
         let (cols, rows) = self.grid();
-        let mut taken = vec![false; cols * rows];
+        let mut occupied = vec![false; cols * rows];
         for point in &self.live {
-            taken[self.cell(point.last())] = true;
+            occupied[self.cell(point.last())] = true;
         }
-        taken
+        occupied
     }
 
     fn grid(&self) -> (usize, usize) {
         let cells = |side: u32| side.div_ceil(SPACING_PX) as usize;
-        (cells(self.work.0), cells(self.work.1))
+        (cells(self.working_size.0), cells(self.working_size.1))
     }
 
     fn cell(&self, p: Point2<f32>) -> usize {
@@ -293,12 +291,12 @@ impl PointFollower {
         at(p.y, rows) * cols + at(p.x, cols)
     }
 
-    /// Keeps what was seen often enough, in pixels of the whole frame.
+    /// Stores a track of at least the minimum length, in pixels of the full frame.
     fn end(&mut self, point: Live) {
         if point.positions.len() < MIN_TRACK_LENGTH {
             return;
         }
-        let scale = [self.size.0 as f32 / self.work.0 as f32, self.size.1 as f32 / self.work.1 as f32];
+        let scale = [self.size.0 as f32 / self.working_size.0 as f32, self.size.1 as f32 / self.working_size.1 as f32];
         let pixels = point.positions.iter().map(|p| [p.x * scale[0], p.y * scale[1]]).collect();
         self.done.push(PointTrack { first: point.first, pixels });
     }

@@ -1,4 +1,4 @@
-//! Which tracks belong together: neighbours that keep their offsets (eq. 10 of `docs/maths/motion.md`).
+//! Groups of tracks: neighbors that keep their offsets (eq. 10 of `docs/maths/motion.md`).
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,23 +7,23 @@ use pathfinding::undirected::connected_components::connected_components;
 use super::follower::{MAX_SIDE_PX, SPACING_PX};
 use super::{PointTrack, Surroundings, TrackLabel, Verdict};
 
-/// Shortest time that the points of a mover move together, seconds. Of a shorter clip, two thirds of it.
+/// Minimum time for which the points of a mover move together, seconds; in a shorter clip, two thirds of it.
 const MIN_LIFE_S: f64 = 1.0;
-/// Largest distance of neighbours, in cells of the follower's grid.
+/// Maximum distance of neighbors, in cells of the follower's grid.
 const REACH: f64 = 3.5;
 
-/// Lengths and times in the units of the frames at hand.
+/// Lengths in pixels and times in frames of the clip.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Scales {
-    /// Largest distance of neighbours, pixels.
+    /// Maximum distance of neighbors, pixels.
     pub reach_px: f64,
-    /// A pixel of the working size, in pixels of the frame.
+    /// Size of a pixel of the working size, in pixels of the frame.
     pub pixel: f64,
-    /// Frames between two looks at which points are neighbours.
+    /// Interval between two frames in which neighbors are searched, frames.
     pub stride: u32,
-    /// Frames that make a second.
+    /// Number of frames per second.
     pub second: u32,
-    /// Frames that a mover lives at least.
+    /// Minimum life of a mover, frames.
     pub life: u32,
 }
 
@@ -46,33 +46,33 @@ impl Scales {
     }
 }
 
-/// Which tracks are seen in each of the frames that are looked at.
-pub(super) fn looks(
+/// Tracks observed in each of the sampled frames.
+pub(super) fn sampled_tracks(
     tracks: &[PointTrack],
     chosen: impl Iterator<Item = usize>,
     stride: u32,
 ) -> BTreeMap<u32, Vec<usize>> {
-    let mut looks: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    let mut tracks_by_frame: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for k in chosen {
         let first = tracks[k].first.next_multiple_of(stride);
         for frame in (first..tracks[k].end()).step_by(stride as usize) {
-            looks.entry(frame).or_default().push(k);
+            tracks_by_frame.entry(frame).or_default().push(k);
         }
     }
-    looks
+    tracks_by_frame
 }
 
-/// Points by the cell that they lie in: their tracks and places.
+/// Tracks and positions of points by cell.
 type Cells = BTreeMap<(i64, i64), Vec<(usize, [f64; 2])>>;
 
-/// Points of one frame in cells, so that those near one another are found.
-pub(super) struct Crowd {
+/// Points of one frame in cells, for the search of neighbors.
+pub(super) struct PointGrid {
     reach_px: f64,
     cells: Cells,
 }
 
-impl Crowd {
-    /// The chosen tracks' points in a frame.
+impl PointGrid {
+    /// Grid of the points of the chosen tracks in a frame.
     pub fn new(tracks: &[PointTrack], chosen: &[usize], frame: u32, reach_px: f64) -> Self {
         let mut cells = Cells::new();
         for &k in chosen {
@@ -83,11 +83,11 @@ impl Crowd {
         Self { reach_px, cells }
     }
 
-    /// Pairs within reach, the lower index first, each once.
+    /// Pairs within reach, the lower index first, without duplicates.
     pub fn pairs(&self) -> Vec<(usize, usize)> {
         let mut pairs = Vec::new();
         for (&(x, y), own) in &self.cells {
-            // Half of the neighbouring cells, so that no pair comes twice.
+            // Half of the neighboring cells, so no pair is found twice.
             for other in [(x, y), (x + 1, y), (x - 1, y + 1), (x, y + 1), (x + 1, y + 1)] {
                 let Some(others) = self.cells.get(&other) else { continue };
                 for (i, p) in own {
@@ -104,57 +104,62 @@ impl Crowd {
     }
 }
 
-/// Part of the points near each track that move, over its life; the point itself
-/// counts, too. Where most stands, a single one that moves was followed wrongly.
+/// Share of moving points among those near each track, over its life, including the track itself.
 ///
-/// * `looks` – all tracks in the frames that are looked at.
-pub(super) fn moving_company(
+/// A single moving point among static ones is a tracking error.
+///
+/// * `tracks_by_frame` – all tracks in the sampled frames.
+pub(super) fn moving_shares(
     tracks: &[PointTrack],
     labels: &[TrackLabel],
-    looks: &BTreeMap<u32, Vec<usize>>,
+    tracks_by_frame: &BTreeMap<u32, Vec<usize>>,
     reach_px: f64,
 ) -> Vec<f64> {
     let mut counts = vec![[0.0; 2]; tracks.len()];
-    for (frame, seen) in looks {
-        for (i, j) in Crowd::new(tracks, seen, *frame, reach_px).pairs() {
-            add(&mut counts[i], &labels[j]);
-            add(&mut counts[j], &labels[i]);
+    for (frame, seen) in tracks_by_frame {
+        for (i, j) in PointGrid::new(tracks, seen, *frame, reach_px).pairs() {
+            count(&mut counts[i], &labels[j]);
+            count(&mut counts[j], &labels[i]);
         }
     }
-    counts.into_iter().map(|[moving, standing]| (moving + 1.0) / (moving + standing + 1.0)).collect()
+    counts.into_iter().map(|[moving, stationary]| (moving + 1.0) / (moving + stationary + 1.0)).collect()
 }
 
-fn add([moving, standing]: &mut [f64; 2], label: &TrackLabel) {
+fn count([moving, stationary]: &mut [f64; 2], label: &TrackLabel) {
     match label.verdict {
         Verdict::Moving(_) => *moving += 1.0,
-        Verdict::Stationary => *standing += 1.0,
-        // It may be a part of a vehicle that comes nearer.
-        Verdict::Floating => *standing += 0.5,
+        Verdict::Stationary => *stationary += 1.0,
+        // It may be a part of an approaching vehicle.
+        Verdict::Floating => *stationary += 0.5,
         Verdict::Fixed | Verdict::Undetermined => {}
     }
 }
 
-/// Tracks and what joins them.
-pub(super) struct Neighbourhood<'a> {
+/// Tracks, with the criteria by which they are linked.
+pub(super) struct TrackLinks<'a> {
     pub tracks: &'a [PointTrack],
     pub scales: Scales,
     pub max_change: f64,
 }
 
-impl Neighbourhood<'_> {
-    /// Pairs of the chosen tracks that are neighbours in several frames and keep their offsets, ascending.
+impl TrackLinks<'_> {
+    /// Pairs of the chosen tracks that are neighbors in several frames and keep their offsets, ascending.
     pub fn pairs(&self, chosen: &[usize]) -> Vec<(usize, usize)> {
-        let mut met: BTreeMap<(usize, usize), u32> = BTreeMap::new();
-        for (frame, seen) in looks(self.tracks, chosen.iter().copied(), self.scales.stride) {
-            for pair in Crowd::new(self.tracks, &seen, frame, self.scales.reach_px).pairs() {
-                *met.entry(pair).or_default() += 1;
+        let mut num_common: BTreeMap<(usize, usize), u32> = BTreeMap::new();
+        for (frame, seen) in sampled_tracks(self.tracks, chosen.iter().copied(), self.scales.stride) {
+            for pair in PointGrid::new(self.tracks, &seen, frame, self.scales.reach_px).pairs() {
+                *num_common.entry(pair).or_default() += 1;
             }
         }
-        met.into_iter().filter(|&(pair, count)| count >= 2 && self.move_alike(pair)).map(|(pair, _)| pair).collect()
+        num_common
+            .into_iter()
+            .filter(|&(pair, count)| count >= 2 && self.keep_offset(pair))
+            .map(|(pair, _)| pair)
+            .collect()
     }
 
     /// Returns true if the offset of two tracks changes little within any second.
-    fn move_alike(&self, (i, j): (usize, usize)) -> bool {
+    fn keep_offset(&self, (i, j): (usize, usize)) -> bool {
         let (a, b) = (&self.tracks[i], &self.tracks[j]);
         let (first, end) = (a.first.max(b.first), a.end().min(b.end()));
         let common = end.saturating_sub(first);
@@ -168,7 +173,7 @@ impl Neighbourhood<'_> {
         };
         (first..end - lag).step_by(self.scales.stride as usize).all(|frame| {
             let (before, after) = (offset(frame), offset(frame + lag));
-            // Not `hypot`, which takes care of lengths that no picture has, and ten times as long.
+            // Not `hypot`, which takes ten times as long to avoid overflows that pixels cannot cause.
             let length = |[x, y]: [f64; 2]| (x * x + y * y).sqrt();
             let change = length([after[0] - before[0], after[1] - before[1]]);
             change <= 1.5 * self.scales.pixel + self.max_change * length(before)
@@ -176,21 +181,20 @@ impl Neighbourhood<'_> {
     }
 }
 
-/// Groups of nodes that hang together by edges of triangles, each node with at least two; each ascending, in the order
-/// of their first nodes.
+/// Groups of at least two nodes connected by edges of triangles; each ascending, in the order of their first nodes.
 pub(super) fn connected(pairs: &[(usize, usize)]) -> Vec<Vec<usize>> {
-    let mut neighbours: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
+    let mut neighbors: BTreeMap<usize, BTreeSet<usize>> = BTreeMap::new();
     for &(i, j) in pairs {
-        neighbours.entry(i).or_default().insert(j);
-        neighbours.entry(j).or_default().insert(i);
+        neighbors.entry(i).or_default().insert(j);
+        neighbors.entry(j).or_default().insert(i);
     }
-    let neighbours = &neighbours;
-    // A single chance link joins nothing.
+    let neighbors = &neighbors;
+    // A single accidental edge connects no groups.
     let in_triangles = |node: &usize| {
-        let own = &neighbours[node];
-        own.iter().copied().filter(move |other| !own.is_disjoint(&neighbours[other]))
+        let own = &neighbors[node];
+        own.iter().copied().filter(move |other| !own.is_disjoint(&neighbors[other]))
     };
-    let nodes: Vec<usize> = neighbours.keys().copied().collect();
+    let nodes: Vec<usize> = neighbors.keys().copied().collect();
     let groups = connected_components(&nodes, in_triangles).into_iter().filter(|group| group.len() > 1);
     let mut groups: Vec<Vec<usize>> =
         groups.map(|group| group.into_iter().collect::<BTreeSet<_>>().into_iter().collect()).collect();

@@ -1,4 +1,4 @@
-//! Motion state of one object, by the points on it (eq. 13 to 16 of `docs/maths/motion.md`).
+//! Motion state of one object, by the point tracks on it (eq. 13 to 16 of `docs/maths/motion.md`).
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -11,40 +11,40 @@ use super::{ContactDepth, Evidence, PointTrack, TrackLabel, Verdict};
 use crate::math::upper_median;
 use crate::scene::Movement;
 
-/// A track that lies on an object.
+/// Track on an object.
 #[derive(Clone, Copy, Debug)]
 pub struct PointOnObject<'a> {
     /// The track.
     pub track: &'a PointTrack,
-    /// Its label.
+    /// Label of the track.
     pub label: &'a TrackLabel,
-    /// Share of its frames in which it lies on the object.
+    /// Share of its frames in which it is on the object.
     pub inside: f64,
-    /// The object's foot below it; `None` where it has no static point or there is no ground below.
-    pub foot: Option<ContactDepth>,
+    /// Contact depth of the object below it; `None` without a static point, or without ground below.
+    pub contact: Option<ContactDepth>,
 }
 
-/// Reason of the judgement.
+/// Reason for the motion state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum MovementReason {
-    /// Fewer than three points say anything.
+    /// Fewer than three points have a known state.
     TooFewPoints,
-    /// Half of the points or more leave the lines on which stationary points stay.
+    /// Half of the points or more leave their epipolar lines.
     PointsMove,
-    /// Half of the points that are seen leave their lines for a second or more: it stops, or starts.
+    /// Half of the visible points leave their epipolar lines for a second or more: the object stops or starts.
     MovesForATime,
-    /// If it were stationary, it would float over the ground: it comes nearer.
+    /// A stationary object would float above the ground: it approaches.
     FootFloats,
-    /// If it were stationary, it would lie behind the ground: it moves ahead of the camera.
+    /// A stationary object would be behind the ground: it moves ahead of the camera.
     FootBehindGround,
-    /// Its points and its foot are those of a stationary object, and hardly those of a moving one.
+    /// Its points are static, and its contact depth is evidence for a stationary object.
     PointsStand,
-    /// Points leave their lines by no more than the sway of a camera that hovers.
+    /// Points leave their epipolar lines by no more than the sway of a hovering camera explains.
     Sway,
-    /// Its mask moves across the background before a camera that does not translate.
+    /// Its mask moves across the background, and the camera does not translate.
     Travels,
-    /// Points contradict one another.
+    /// Moving and static points contradict each other.
     Divided,
     /// It may be stationary, or move along the camera's path.
     AlongCameraPath,
@@ -55,16 +55,15 @@ pub enum MovementReason {
 pub struct Judgement {
     /// Motion state.
     pub movement: Movement,
-    /// Why.
+    /// Reason for it.
     pub reason: MovementReason,
-    /// Likelihood of its foot if it moves along the camera's path over that if it is stationary; 1 where nothing is
-    /// known.
+    /// Likelihood ratio of motion along the camera's path over a stationary object, by the contact depth; 1 if unknown.
     pub odds: f64,
-    /// Points that say it moves.
+    /// Number of points that leave their epipolar lines.
     pub num_moving: usize,
-    /// Points that a stationary object could have.
+    /// Number of points that a static point explains.
     pub num_standing: usize,
-    /// True if it looks like a patch of ground: none of its points rises over it.
+    /// True if it looks like a patch of ground: its points are not above the ground.
     pub is_flat: bool,
 }
 
@@ -72,19 +71,22 @@ impl fmt::Display for Judgement {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let (moving, standing) = (self.num_moving, self.num_standing);
         let all = moving + standing;
-        let [moves, stands] = [self.odds, 1.0 / self.odds].map(odds);
+        let [for_motion, for_rest] = [self.odds, 1.0 / self.odds].map(odds);
         match self.reason {
             MovementReason::TooFewPoints => write!(f, "too few points to decide whether it moves"),
             MovementReason::PointsMove => write!(f, "{moving} of {all} points move against the background"),
             MovementReason::MovesForATime => write!(f, "{moving} of {all} points move in part of the frames"),
             MovementReason::FootFloats => {
-                write!(f, "it approaches: a stationary object would float above the ground ({moves})")
+                write!(f, "it approaches: a stationary object would float above the ground ({for_motion})")
             }
             MovementReason::FootBehindGround => {
-                write!(f, "it moves ahead of the camera: a stationary object would be behind the ground ({moves})")
+                write!(f, "it moves ahead of the camera: a stationary object would be behind the ground ({for_motion})")
             }
             MovementReason::PointsStand => {
-                write!(f, "{standing} of {all} points are stationary, and the contact line is on the ground ({stands})")
+                write!(
+                    f,
+                    "{standing} of {all} points are stationary, and the contact line is on the ground ({for_rest})"
+                )
             }
             MovementReason::Sway => {
                 write!(f, "{moving} of {all} points move, by no more than tall objects do as a hovering camera sways")
@@ -99,14 +101,14 @@ impl fmt::Display for Judgement {
     }
 }
 
-/// Odds in words, which no digits beyond the second tell.
+/// Odds as text, capped at 1000.
 fn odds(odds: f64) -> String {
     if odds < 1000.0 { format!("odds {odds:.0}:1") } else { "odds over 1000:1".to_owned() }
 }
 
 /// Minimum share of a point's frames in which it is on the object.
 const MIN_INSIDE: f64 = 0.8;
-/// Minimum number of points that are evidence.
+/// Minimum number of points for a decision.
 const MIN_POINTS: usize = 3;
 /// Minimum share of moving points of a moving object.
 const MIN_SHARE_MOVING: f64 = 0.5;
@@ -122,18 +124,19 @@ const MIN_RATE_HZ: f64 = 10.0;
 /// 10 (H. Jeffreys, *Theory of Probability*, 1961, app. B).
 pub const CLEAR_ODDS: f64 = 5.0;
 
-/// Deviation of points from the place of stationary ones that the sway of a hovering camera explains, as a share of
-/// the object's size: a sway of a tenth of the distance, of an object as high as it is wide. A vehicle that moves
-/// passes it within half a meter.
+/// Maximum residual of points that the sway of a hovering camera explains, as a share of the object's size: a sway of a
+/// tenth of the distance, for an object as high as it is wide. A moving vehicle exceeds it within half a meter.
 const SWAY: f64 = 0.1;
 /// Minimum displacement of a moving mask from the mean of the first to that of the last quarter of its frames, as a
-/// multiple of its size: a smaller one may be growth, a shadow or a slip to a neighbor at the kerb.
+/// multiple of its size: a smaller one may be growth, a shadow or a switch to a neighbor at the curb.
 const MIN_TRAVEL: f64 = 2.0;
 
-/// Revises the judgement of an object before a camera that hovers: poses have one center there, so that points of
-/// tall stationary objects, such as houses, leave their lines as the camera sways.
+/// Revises the motion state of an object in the view of a hovering camera.
 ///
-/// * `size_px` – of the object in the image.
+/// The poses of a hovering camera share one center, so points on tall stationary objects, such as houses, leave their
+/// epipolar lines as the camera sways.
+///
+/// * `size_px` – size of the object in the image.
 pub fn without_sway(judged: Judgement, points: &[PointOnObject], size_px: f64) -> Judgement {
     let on_it = points.iter().filter(|point| point.inside >= MIN_INSIDE);
     let moving = on_it.filter(|point| point.label.verdict == Verdict::Moving(Evidence::OffItsLine));
@@ -147,27 +150,28 @@ pub fn without_sway(judged: Judgement, points: &[PointOnObject], size_px: f64) -
     }
 }
 
-/// Revises the judgement of an object before a camera that does not translate, of which too few points tell: there is
-/// no parallax, so that a mask that moves across the background is on something that moves.
+/// Revises an undetermined motion state in the view of a camera that does not translate.
 ///
-/// * `sights` – direction to the middle of its mask in each frame, in the background's frame, in order of time.
-/// * `size` – of the mask, radians.
-pub fn with_travel(judged: Judgement, sights: &[Vector3<f64>], size: f64) -> Judgement {
-    let quarter = sights.len() / 4;
+/// Without parallax, a mask that moves across the background is that of a moving object.
+///
+/// * `directions` – direction to the center of its mask in each frame, in the background's frame, in order of time.
+/// * `size` – angular size of the mask, radians.
+pub fn with_travel(judged: Judgement, directions: &[Vector3<f64>], size: f64) -> Judgement {
+    let quarter = directions.len() / 4;
     let mean = |part: &[Vector3<f64>]| part.iter().sum::<Vector3<f64>>() / part.len() as f64;
-    let way = || (mean(&sights[sights.len() - quarter..]) - mean(&sights[..quarter])).norm();
-    match judged.movement == Movement::Undetermined && quarter > 0 && way() > MIN_TRAVEL * size {
+    let displacement = || (mean(&directions[directions.len() - quarter..]) - mean(&directions[..quarter])).norm();
+    match judged.movement == Movement::Undetermined && quarter > 0 && displacement() > MIN_TRAVEL * size {
         true => Judgement { movement: Movement::Moving, reason: MovementReason::Travels, ..judged },
         false => judged,
     }
 }
 
-/// Judges an object by the tracks that lie on it.
+/// Decides the motion state of an object by the tracks on it.
 ///
-/// * `second` – frames in a second.
+/// * `second` – number of frames per second.
 ///
-/// Points that lie on it in less than four fifths of their frames, or that are undetermined, say nothing; long ones say
-/// more than short ones. A part of the life that moves is enough: the labels are those of whole tracks.
+/// Points that are on it in less than four fifths of their frames, or undetermined, are ignored. Points are weighted by
+/// the lengths of their tracks. Motion in a part of the life suffices, since the labels are those of whole tracks.
 pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
     let on_it: Vec<&PointOnObject> = points.iter().filter(|point| point.inside >= MIN_INSIDE).collect();
     let leaves_line = |label: &TrackLabel| label.verdict == Verdict::Moving(Evidence::OffItsLine);
@@ -181,23 +185,23 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
     let ((num_moving, moving), (num_standing, quiet)) = (of(&leaves_line), of(&is_quiet));
     let (num_behind, _) = of(&|label| label.verdict == Verdict::Moving(Evidence::BehindGround));
     let share = moving / (moving + quiet).max(1e-9);
-    let feet: Vec<ContactDepth> = on_it.iter().filter_map(|point| point.foot).collect();
-    let heights = on_it.iter().filter(|point| point.foot.is_some()).filter_map(|point| point.label.relative_height);
-    let stance = ContactEvidence::of(&feet, heights.collect());
-    let odds = stance.map_or(1.0, |stance| stance.odds_of_motion());
+    let contacts: Vec<ContactDepth> = on_it.iter().filter_map(|point| point.contact).collect();
+    let heights = on_it.iter().filter(|point| point.contact.is_some()).filter_map(|point| point.label.relative_height);
+    let contact_evidence = ContactEvidence::of(&contacts, heights.collect());
+    let odds = contact_evidence.map_or(1.0, |contact_evidence| contact_evidence.odds_of_motion());
     let (movement, reason) = match () {
-        () if num_moving + num_standing.max(feet.len()) < MIN_POINTS => {
+        () if num_moving + num_standing.max(contacts.len()) < MIN_POINTS => {
             (Movement::Undetermined, MovementReason::TooFewPoints)
         }
         () if share >= MIN_SHARE_MOVING => (Movement::Moving, MovementReason::PointsMove),
-        () if time_moving(&on_it, &leaves_line, &is_quiet) as f64 >= MIN_MOVE_S * second.max(MIN_RATE_HZ) => {
+        () if num_frames_moving(&on_it, &leaves_line, &is_quiet) as f64 >= MIN_MOVE_S * second.max(MIN_RATE_HZ) => {
             (Movement::Moving, MovementReason::MovesForATime)
         }
-        () if odds >= CLEAR_ODDS && stance.is_some_and(|stance| stance.floats()) => {
+        () if odds >= CLEAR_ODDS && contact_evidence.is_some_and(|contact_evidence| contact_evidence.floats()) => {
             (Movement::Moving, MovementReason::FootFloats)
         }
-        // A mask may end nearer than its points; that points are behind the ground themselves, no stationary object
-        // shows.
+        // A mask may end nearer than its points. But no stationary object has points that are behind the ground
+        // themselves.
         () if odds >= CLEAR_ODDS && num_behind >= MIN_POINTS => (Movement::Moving, MovementReason::FootBehindGround),
         () if share > MAX_SHARE_STATIONARY => (Movement::Undetermined, MovementReason::Divided),
         () if odds <= 1.0 / CLEAR_ODDS && num_standing >= MIN_POINTS => {
@@ -205,12 +209,13 @@ pub fn judge(points: &[PointOnObject], second: f64) -> Judgement {
         }
         () => (Movement::Undetermined, MovementReason::AlongCameraPath),
     };
-    let is_flat = lies_flat(on_it.iter().map(|point| point.label));
+    let is_flat = is_ground_patch(on_it.iter().map(|point| point.label));
     Judgement { movement, reason, odds, num_moving, num_standing, is_flat }
 }
 
-/// Judges an object whose track has gaps: across each of them it may have gone over to another object, so that it is
-/// stationary only if every piece is.
+/// Decides the motion state of an object whose track has gaps.
+///
+/// There may be an identity switch at each gap, so the object is stationary only if every piece is.
 ///
 /// * `pieces` – points of each piece.
 pub fn judge_pieces(pieces: &[Vec<PointOnObject>], second: f64) -> Judgement {
@@ -218,16 +223,16 @@ pub fn judge_pieces(pieces: &[Vec<PointOnObject>], second: f64) -> Judgement {
     if whole.movement != Movement::Stationary || pieces.len() < 2 {
         return whole;
     }
-    let says_nothing = |piece: &Judgement| piece.reason == MovementReason::TooFewPoints;
+    let has_too_few_points = |piece: &Judgement| piece.reason == MovementReason::TooFewPoints;
     let mut judged = pieces.iter().map(|piece| judge(piece, second));
-    match judged.find(|piece| piece.movement != Movement::Stationary && !says_nothing(piece)) {
+    match judged.find(|piece| piece.movement != Movement::Stationary && !has_too_few_points(piece)) {
         Some(piece) => Judgement { movement: Movement::Undetermined, ..piece },
         None => whole,
     }
 }
 
-/// Number of frames in which most of the points that are seen leave their lines, and three at least.
-fn time_moving(
+/// Number of frames in which at least half of the visible points, and at least three, leave their epipolar lines.
+fn num_frames_moving(
     on_it: &[&PointOnObject],
     leaves_line: &dyn Fn(&TrackLabel) -> bool,
     is_quiet: &dyn Fn(&TrackLabel) -> bool,
@@ -241,11 +246,11 @@ fn time_moving(
     seen.values().filter(|[moving, quiet]| *moving >= MIN_POINTS && moving >= quiet).count()
 }
 
-/// Returns true if hardly any point of known height rises over the ground.
-fn lies_flat<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
+/// Returns true if at most a fifth of the points with known heights is above the ground.
+fn is_ground_patch<'a>(labels: impl Iterator<Item = &'a TrackLabel>) -> bool {
     let heights: Vec<f64> = labels.filter_map(|label| label.relative_height).collect();
     let low = heights.iter().filter(|height| **height <= 0.03).count();
-    // A share of fewer than eight is no evidence.
+    // Fewer than eight points are no evidence.
     heights.len() >= 8 && low as f64 >= 0.8 * heights.len() as f64
 }
 
@@ -264,12 +269,12 @@ mod tests {
             static_point: None,
         };
         let labels: Vec<TrackLabel> = heights.iter().map(label).collect();
-        let point = |label| PointOnObject { track: &track, label, inside, foot: None };
+        let point = |label| PointOnObject { track: &track, label, inside, contact: None };
         judge(&labels.iter().map(point).collect::<Vec<_>>(), 10.0).is_flat
     }
 
     #[test]
-    fn what_sways_with_a_hovering_camera_is_not_known_to_move() {
+    fn objects_that_sway_with_a_hovering_camera_are_undetermined() {
         let track = PointTrack { first: 0, pixels: vec![[0.0, 0.0]; 30] };
         let label = TrackLabel {
             verdict: Verdict::Moving(Evidence::OffItsLine),
@@ -278,7 +283,7 @@ mod tests {
             relative_height: None,
             static_point: None,
         };
-        let points = [PointOnObject { track: &track, label: &label, inside: 1.0, foot: None }; 6];
+        let points = [PointOnObject { track: &track, label: &label, inside: 1.0, contact: None }; 6];
         let judged = judge(&points, 10.0);
         assert_eq!(judged.reason, MovementReason::PointsMove);
         let house = without_sway(judged, &points, 100.0);
@@ -287,12 +292,12 @@ mod tests {
     }
 
     #[test]
-    fn a_patch_of_road_lies_flat_and_a_parked_car_does_not() {
+    fn a_patch_of_road_is_flat_and_a_parked_car_is_not() {
         let road = [0.0, 0.01, -0.02, 0.0, 0.01, 0.02, 0.0, 0.01, 0.2].map(Some);
         assert!(is_flat(&road, 1.0));
         assert!(!is_flat(&[0.0, 0.1, 0.15, 0.12, 0.01, 0.2, 0.18, 0.01, 0.2].map(Some), 1.0));
         assert!(!is_flat(&[Some(0.0); 5], 1.0) && !is_flat(&[None; 20], 1.0));
-        // Points of the road that a car's mask passes over say nothing about the car.
+        // Road points that a car's mask passes over are no evidence about the car.
         assert!(!is_flat(&road, 0.5));
     }
 }

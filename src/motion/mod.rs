@@ -1,13 +1,12 @@
-//! Moving objects: points all over the image, tested against the background's cameras and the ground.
+//! Moving objects: point tracks all over the image, tested against the background's cameras and the ground.
 //!
-//! [`PointFollower`] follows points through all frames. [`classify`] asks of each whether a point that stands still
-//! could have been seen so: if none leaves residuals within the noise of the picture's other points, it moves; if the
-//! one that does would lie behind the ground, it moves, too. [`movers`] joins points that move together, near one
-//! another and for some time, to boxes. [`judge`] says of one object whose points are known whether it moved. The
-//! equations are in `docs/maths/motion.md`. Before a camera that does not translate [`DifferenceDetector`] finds
-//! what has too few points.
+//! [`PointFollower`] tracks points through all frames. [`classify`] fits a static point to each track: the point moves
+//! if the residuals exceed the noise of the image's other tracks, or if the static point is behind the ground.
+//! [`movers`] groups points that are close to one another and move together for some time into boxes. [`judge`] decides
+//! for one object with known points whether it moves. With a camera that does not translate, [`DifferenceDetector`]
+//! finds objects with too few points. The equations are in `docs/maths/motion.md`.
 //!
-//! All but the follower and the differences is arithmetic on values.
+//! All but the follower and the difference detector is arithmetic on values.
 
 mod classify;
 mod contact;
@@ -34,18 +33,18 @@ pub use self::movers::{Mover, movers};
 use crate::camera::Camera;
 use crate::math::Rigid3;
 pub use contact::ContactDepth;
-pub use stationary::shows_standing;
+pub use stationary::shows_stationary;
 
-/// Camera of one frame, from the background.
+/// Camera of one frame of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
-    /// Intrinsics, for pixels of the whole frame.
+    /// Intrinsics, for pixels of the full frame.
     pub camera: Camera,
     /// Pose in the background's frame.
     pub cam_from_world: Rigid3,
 }
 
-/// Scene of the frames. Frames are counted as the follower counts them, from 0.
+/// Cameras, times and ground of the frames; frame indices are those of the follower, from 0.
 #[derive(Clone, Copy)]
 pub struct Surroundings<'a> {
     /// Width and height of the frames, pixels.
@@ -54,12 +53,12 @@ pub struct Surroundings<'a> {
     pub times_s: &'a [f64],
     /// Camera of each frame; `None` where the background has none.
     pub views: &'a [Option<View>],
-    /// The ground, if it was found.
+    /// The ground, if known.
     pub ground: Option<&'a GroundModel>,
 }
 
 impl<'a> Surroundings<'a> {
-    /// Camera of a frame.
+    /// Camera of a frame, if it is known.
     fn view(&self, frame: u32) -> Option<&'a View> {
         self.views.get(frame as usize)?.as_ref()
     }

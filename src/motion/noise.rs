@@ -1,59 +1,60 @@
-//! Noise of point tracking, measured from the image's own points (eq. 5 of `docs/maths/motion.md`).
+//! Noise of point tracking, measured from the image's own tracks (eq. 5 of `docs/maths/motion.md`).
 
 use std::collections::BTreeMap;
 
 use crate::math::{bin, upper_median};
 
-/// Properties that the noise of a track depends on: its time, its length, and its position.
+/// Properties on which the noise of a track depends: its time, length and position.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Circumstances {
-    /// The middle of its life, seconds.
+pub(super) struct TrackContext {
+    /// Time in the middle of its life, seconds.
     pub time_s: f64,
-    /// Frames of its life.
+    /// Length of its life, frames.
     pub num_frames: usize,
-    /// Its place in the reference frame, as parts of width and height.
-    pub place: [f64; 2],
+    /// Position in the reference frame, as shares of width and height.
+    pub position: [f64; 2],
 }
 
-/// Typical residuals by time and length, and by how much they are larger in a part of the picture.
+/// Median residuals by time and length of a track, with factors by region of the image.
 #[derive(Default)]
 pub(super) struct Noise {
-    typical: BTreeMap<(i64, u32), f64>,
-    of_length: BTreeMap<u32, f64>,
-    of_place: BTreeMap<(i64, usize), f64>,
+    by_second: BTreeMap<(i64, u32), f64>,
+    by_length: BTreeMap<u32, f64>,
+    by_region: BTreeMap<(i64, usize), f64>,
 }
 
-/// Smallest noise of a followed point, pixels.
+/// Minimum noise of a tracked point, pixels.
 const MIN_NOISE_PX: f64 = 0.1;
-/// Fewest tracks that say something of the noise.
+/// Minimum number of tracks for a median.
 const MIN_SAMPLES: usize = 30;
-/// Parts of the picture along its width and its height.
-const PLACES: [usize; 2] = [4, 3];
-/// A part of the picture may be filled by one vehicle: its residuals count as noise up to this factor.
-const MAX_PLACE_FACTOR: f64 = 2.5;
+/// Number of image regions along width and height.
+const REGIONS: [usize; 2] = [4, 3];
+/// Maximum factor of a region: one vehicle may fill it, whose residuals are not noise.
+const MAX_REGION_FACTOR: f64 = 2.5;
 
 impl Noise {
-    /// From the residuals of all tracks, most of which stand still.
-    pub fn measure(samples: &[(Circumstances, f64)]) -> Self {
-        let of_length = medians(samples.iter().map(|(c, rms)| (length_class(c), *rms)), 1);
-        let mut noise = Self { of_length, ..Self::default() };
-        let nearby = samples.iter().flat_map(|(c, rms)| around(c).map(move |bin| ((bin, length_class(c)), *rms)));
-        noise.typical = medians(nearby, MIN_SAMPLES);
-        let relative = samples.iter().map(|(c, rms)| (c, rms / noise.usual(c)));
-        let relative = relative.flat_map(|(c, ratio)| around(c).map(move |bin| ((bin, place(c)), ratio)));
-        noise.of_place = medians(relative, MIN_SAMPLES);
+    /// Measures the noise from the residuals of all tracks, most of which are static.
+    pub fn measure(samples: &[(TrackContext, f64)]) -> Self {
+        let by_length = medians(samples.iter().map(|(c, rms)| (length_class(c), *rms)), 1);
+        let mut noise = Self { by_length, ..Self::default() };
+        let nearby =
+            samples.iter().flat_map(|(c, rms)| neighboring_seconds(c).map(move |bin| ((bin, length_class(c)), *rms)));
+        noise.by_second = medians(nearby, MIN_SAMPLES);
+        let relative = samples.iter().map(|(c, rms)| (c, rms / noise.without_region(c)));
+        let relative = relative.flat_map(|(c, ratio)| neighboring_seconds(c).map(move |bin| ((bin, region(c)), ratio)));
+        noise.by_region = medians(relative, MIN_SAMPLES);
         noise
     }
 
-    /// Standard deviation of a followed point, pixels.
-    pub fn of(&self, circumstances: &Circumstances) -> f64 {
-        let factor = self.of_place.get(&(second(circumstances), place(circumstances))).copied().unwrap_or(1.0);
-        self.usual(circumstances) * factor.clamp(1.0, MAX_PLACE_FACTOR)
+    /// Standard deviation of a tracked point, pixels.
+    pub fn of(&self, context: &TrackContext) -> f64 {
+        let factor = self.by_region.get(&(second(context), region(context))).copied().unwrap_or(1.0);
+        self.without_region(context) * factor.clamp(1.0, MAX_REGION_FACTOR)
     }
 
-    fn usual(&self, circumstances: &Circumstances) -> f64 {
-        let class = length_class(circumstances);
-        let measured = self.typical.get(&(second(circumstances), class)).or_else(|| self.of_length.get(&class));
+    fn without_region(&self, context: &TrackContext) -> f64 {
+        let class = length_class(context);
+        let measured = self.by_second.get(&(second(context), class)).or_else(|| self.by_length.get(&class));
         measured.copied().unwrap_or(0.0).max(MIN_NOISE_PX)
     }
 }
@@ -67,21 +68,21 @@ fn medians<K: Ord>(samples: impl Iterator<Item = (K, f64)>, least: usize) -> BTr
     enough.filter_map(|(key, list)| Some((key, upper_median(list)?))).collect()
 }
 
-/// The second in which a track is in the middle of its life.
-fn second(c: &Circumstances) -> i64 {
+/// Second of the middle of a track's life.
+fn second(c: &TrackContext) -> i64 {
     c.time_s.floor() as i64
 }
 
-/// That second and its neighbours, in all of which a track counts.
-fn around(c: &Circumstances) -> impl Iterator<Item = i64> + use<> {
+/// This second and its neighbors, in all of which a track is a sample.
+fn neighboring_seconds(c: &TrackContext) -> impl Iterator<Item = i64> + use<> {
     second(c).saturating_sub(1)..=second(c).saturating_add(1)
 }
 
-/// Powers of two: points drift, the longer the further.
-fn length_class(c: &Circumstances) -> u32 {
+/// Power of two of the length: the drift of a point increases with its track's length.
+fn length_class(c: &TrackContext) -> u32 {
     c.num_frames.max(1).ilog2()
 }
 
-fn place(c: &Circumstances) -> usize {
-    bin(c.place[1], PLACES[1]) * PLACES[0] + bin(c.place[0], PLACES[0])
+fn region(c: &TrackContext) -> usize {
+    bin(c.position[1], REGIONS[1]) * REGIONS[0] + bin(c.position[0], REGIONS[0])
 }

@@ -1,25 +1,25 @@
-//! Test whether a box shows a stationary object, by the points in it (eq. 17 of `docs/maths/motion.md`).
+//! Test for a stationary object in a box, by the points in it (eq. 17 of `docs/maths/motion.md`).
 
 use super::Verdict;
 
-/// Points that have to stand: fewer may be those of the road round a small vehicle.
-const MIN_STANDING: usize = 5;
-/// Share of the points of which anything is known that may say otherwise.
-const MOST_OTHERS: f64 = 0.1;
+/// Minimum number of static points: fewer may be those of the road around a small vehicle.
+const MIN_STATIC: usize = 5;
+/// Maximum share of moving or floating points among those with a known state.
+const MAX_OTHERS: f64 = 0.1;
 
 /// Returns true if the points in a box show a stationary object.
 ///
-/// A point that would float over the ground says nothing of the kind: it may be one of a vehicle that comes nearer.
-pub fn shows_standing(points: impl IntoIterator<Item = Verdict>) -> bool {
-    let (mut standing, mut others) = (0_usize, 0_usize);
+/// A point that floats over the ground is no evidence for it: it may be on an approaching vehicle.
+pub fn shows_stationary(points: impl IntoIterator<Item = Verdict>) -> bool {
+    let (mut stationary, mut others) = (0_usize, 0_usize);
     for verdict in points {
         match verdict {
-            Verdict::Stationary => standing += 1,
+            Verdict::Stationary => stationary += 1,
             Verdict::Moving(_) | Verdict::Floating => others += 1,
             Verdict::Fixed | Verdict::Undetermined => {}
         }
     }
-    standing >= MIN_STANDING && others as f64 <= MOST_OTHERS * (standing + others) as f64
+    stationary >= MIN_STATIC && others as f64 <= MAX_OTHERS * (stationary + others) as f64
 }
 
 #[cfg(test)]
@@ -27,22 +27,22 @@ mod tests {
     use super::super::Evidence;
     use super::*;
 
-    fn points(standing: usize, others: &[Verdict]) -> Vec<Verdict> {
-        [&vec![Verdict::Stationary; standing], others].concat()
+    fn points(stationary: usize, others: &[Verdict]) -> Vec<Verdict> {
+        [&vec![Verdict::Stationary; stationary], others].concat()
     }
 
     #[test]
-    fn what_stands_has_several_points_that_do_and_hardly_any_that_do_not() {
+    fn a_stationary_object_has_several_static_points_and_hardly_any_others() {
         let moving = Verdict::Moving(Evidence::OffItsLine);
-        assert!(shows_standing(points(5, &[])));
-        assert!(shows_standing(points(5, &[Verdict::Undetermined, Verdict::Undetermined, Verdict::Fixed])));
-        assert!(shows_standing(points(18, &[moving, moving])));
-        assert!(!shows_standing(points(4, &[])));
-        assert!(!shows_standing(points(17, &[moving, moving])));
+        assert!(shows_stationary(points(5, &[])));
+        assert!(shows_stationary(points(5, &[Verdict::Undetermined, Verdict::Undetermined, Verdict::Fixed])));
+        assert!(shows_stationary(points(18, &[moving, moving])));
+        assert!(!shows_stationary(points(4, &[])));
+        assert!(!shows_stationary(points(17, &[moving, moving])));
     }
 
     #[test]
-    fn what_would_float_may_come_nearer() {
-        assert!(!shows_standing(points(6, &[Verdict::Floating; 4])));
+    fn an_object_with_floating_points_may_approach() {
+        assert!(!shows_stationary(points(6, &[Verdict::Floating; 4])));
     }
 }

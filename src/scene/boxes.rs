@@ -1,11 +1,11 @@
-//! Objects found in one frame as boxes, before their pixels are known.
+//! Bounding boxes, and detections that consist of one.
 
 use nalgebra::Point2;
 use serde::{Deserialize, Serialize};
 
 use super::BoundingBox;
 
-/// An axis-aligned box in a picture; corners in pixels, the centre of the upper left pixel at (0.5, 0.5).
+/// Axis-aligned box in an image; corners in pixels, the center of the upper left pixel at (0.5, 0.5).
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Rect {
     /// Left side.
@@ -19,28 +19,28 @@ pub struct Rect {
 }
 
 impl Rect {
-    /// The smallest box that holds all of some points; `None` of none.
+    /// Smallest box that contains all points; `None` without points.
     pub fn around<'a>(points: impl IntoIterator<Item = &'a Point2<f64>>) -> Option<Self> {
         let of_point = |point: &Point2<f64>| Self { x0: point.x, y0: point.y, x1: point.x, y1: point.y };
         points.into_iter().map(of_point).reduce(|a, b| a.union(&b))
     }
 
-    /// Width, pixels; 0 for a box that is turned inside out.
+    /// Width, pixels; 0 for an inverted box.
     pub fn width(&self) -> f64 {
         (self.x1 - self.x0).max(0.0)
     }
 
-    /// Height, pixels; 0 for a box that is turned inside out.
+    /// Height, pixels; 0 for an inverted box.
     pub fn height(&self) -> f64 {
         (self.y1 - self.y0).max(0.0)
     }
 
-    /// Its middle.
+    /// Center, pixels.
     pub fn center(&self) -> [f64; 2] {
         [0.5 * (self.x0 + self.x1), 0.5 * (self.y0 + self.y1)]
     }
 
-    /// The longer side, pixels.
+    /// Longer side, pixels.
     pub fn extent_px(&self) -> f64 {
         self.width().max(self.height())
     }
@@ -50,12 +50,12 @@ impl Rect {
         self.width() * self.height()
     }
 
-    /// Returns true if a point lies in the box.
+    /// Returns true if a point is in the box; its right and lower sides are outside.
     pub fn contains(&self, x: f64, y: f64) -> bool {
         (self.x0..self.x1).contains(&x) && (self.y0..self.y1).contains(&y)
     }
 
-    /// Intersection of two boxes; of zero area where they do not overlap.
+    /// Intersection of two boxes; its area is zero if they do not overlap.
     #[must_use]
     pub fn intersection(&self, other: &Self) -> Self {
         Self {
@@ -66,7 +66,7 @@ impl Rect {
         }
     }
 
-    /// The smallest box that holds both.
+    /// Smallest box that contains both.
     #[must_use]
     pub fn union(&self, other: &Self) -> Self {
         Self {
@@ -84,25 +84,25 @@ impl Rect {
         if all > 0.0 { common / all } else { 0.0 }
     }
 
-    /// The box grown on every side by a share of its longer side.
+    /// The box enlarged on every side by a share of its longer side.
     #[must_use]
     pub fn grown(&self, share: f64) -> Self {
         let margin = share * self.extent_px();
         Self { x0: self.x0 - margin, y0: self.y0 - margin, x1: self.x1 + margin, y1: self.y1 + margin }
     }
 
-    /// The same place in a picture that is so many times as wide and as high.
+    /// The same box in an image resized by a horizontal and a vertical factor.
     pub fn scaled(&self, [across, down]: [f64; 2]) -> Self {
         Self { x0: across * self.x0, y0: down * self.y0, x1: across * self.x1, y1: down * self.y1 }
     }
 
-    /// The box at another place.
+    /// The box translated by a vector, pixels.
     #[must_use]
     pub fn moved(&self, [dx, dy]: [f64; 2]) -> Self {
         Self { x0: self.x0 + dx, y0: self.y0 + dy, x1: self.x1 + dx, y1: self.y1 + dy }
     }
 
-    /// The part of the box that lies in a picture.
+    /// The box clipped to an image.
     #[must_use]
     pub fn clipped(&self, width: u32, height: u32) -> Self {
         self.intersection(&Self { x0: 0.0, y0: 0.0, x1: f64::from(width), y1: f64::from(height) })
@@ -120,20 +120,20 @@ impl From<BoundingBox> for Rect {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum DetectionSource {
-    /// A network that knows its class.
+    /// A network that assigns a class.
     Detector,
-    /// Its motion against the background.
+    /// Motion relative to the background.
     Motion,
 }
 
-/// One object found in one frame as a box.
+/// Detection in one frame, as a box.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BoxDetection {
-    /// Class name; `vehicle` where only motion found it.
+    /// Class name; `vehicle` for a detection by motion alone.
     pub class: String,
     /// Confidence, 0 to 1.
     pub confidence: f64,
-    /// Where it is.
+    /// Bounding box.
     pub rect: Rect,
     /// Source of the detection.
     pub finder: DetectionSource,

@@ -1,15 +1,15 @@
 //! Dense optical flow.
 
-/// Where each pixel of one frame lies in another.
+/// Displacement of each pixel from a source frame to a target frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Flow {
     /// Width of the frame, pixels.
     pub width: u32,
     /// Height of the frame, pixels.
     pub height: u32,
-    /// Row-major displacement (dx, dy), pixels: pixel (x, y) of the source lies at (x + dx, y + dy) in the target.
+    /// Row-major displacement (dx, dy), pixels: pixel (x, y) of the source is at (x + dx, y + dy) in the target.
     pub displacement: Vec<[f32; 2]>,
-    /// Row-major: whether the flow back from the target returns to where it came from (forward-backward check).
+    /// Row-major; true if the backward flow returns to the source pixel (forward-backward check).
     pub consistent: Vec<bool>,
 }
 

@@ -1,4 +1,4 @@
-//! Frames and objects, by name.
+//! Frames, and identifiers of frames and objects.
 
 use std::fmt;
 
@@ -28,7 +28,7 @@ impl fmt::Display for ObjectId {
 pub enum TimeBase {
     /// Seconds.
     Seconds,
-    /// Frames: nobody stated a rate, so no time can be determined.
+    /// Frames: no frame rate is known, so that no time can be determined.
     Frames,
 }
 
@@ -54,18 +54,19 @@ impl Frame {
 /// Content of an entry in a text or telemetry track of a video.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Timed<T> {
-    /// Its beginning, seconds on the clock of the frames; negative before the first one.
+    /// Start, seconds on the clock of the frames; negative before the first frame.
     pub start_s: f64,
-    /// Its end, seconds; no earlier than `start_s`, and equal to it where the file does not say.
+    /// End, seconds; no earlier than `start_s`, and equal to it where the file does not state one.
     pub end_s: f64,
     /// As stored in the file.
     pub content: T,
 }
 
-/// Seconds on a clock that counts seconds, or a thousandth, millionth or billionth of them after 1970, by magnitude:
-/// seconds are below 10¹¹ until the year 5138, and so on in steps of a thousand.
+/// Seconds after 1970 from a clock in seconds, milliseconds, microseconds or nanoseconds.
+///
+/// The magnitude decides on the unit: seconds are below 10¹¹ until the year 5138, and so on in steps of a thousand.
 pub fn clock_in_seconds(time: f64) -> f64 {
-    // Least number of a clock that counts nanoseconds, microseconds or milliseconds, and its unit, seconds.
+    // Least number of a clock in nanoseconds, microseconds or milliseconds, and its unit, seconds.
     const UNITS: [(f64, f64); 3] = [(1e17, 1e-9), (1e14, 1e-6), (1e11, 1e-3)];
     UNITS.iter().find(|(least, _)| time >= *least).map_or(time, |(_, unit)| time * unit)
 }

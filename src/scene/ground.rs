@@ -1,4 +1,4 @@
-//! The ground as the scale estimators see it.
+//! Ground points and local ground planes: the input of the scale estimators.
 
 use std::collections::BTreeMap;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::{FrameId, ObjectId, Point3dId};
 
-/// Where the ground labels came from.
+/// Source of the ground labels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundSource {
@@ -16,25 +16,25 @@ pub enum GroundSource {
     Masks,
     /// A semantic segmentation model.
     Model,
-    /// The dominant plane below the camera: no labels were there, and the result is marked.
+    /// The dominant plane below the camera: there were no labels, and the result is marked.
     Geometric,
 }
 
-/// Basis of a local plane: the links of the chain of fallbacks, the most reliable first.
+/// Basis of a local plane: the chain of fallbacks, the most reliable first.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum PlaneBasis {
-    /// Points that the object itself drives over, in other frames than this.
+    /// Points that the object itself drives over in other frames.
     Path,
-    /// Points round the object that labels call ground.
+    /// Points around the object that are labeled as ground.
     LabelledPoints,
-    /// Points round the object that were found to be ground without labels.
+    /// Points around the object that were classified as ground without labels.
     Points,
-    /// The one plane that stands still in the frame of a camera fixed to a vehicle.
+    /// The one plane that is stationary in the frame of a camera fixed to a vehicle.
     Mount,
-    /// The dominant plane of the whole place, far from the object or not.
+    /// The dominant plane of the whole scene, at any distance from the object.
     Dominant,
-    /// The plane below a camera that does not translate, by straight lines, the sizes of vehicles and what is given.
+    /// The plane below a camera that does not translate, from straight lines, vehicle sizes and given values.
     Vehicles,
 }
 
@@ -48,7 +48,7 @@ with_names!(PlaneBasis {
 });
 
 impl PlaneBasis {
-    /// In words, for people.
+    /// Description for messages.
     pub fn words(self) -> &'static str {
         match self {
             Self::Path => "ground that the object drives over",
@@ -63,7 +63,7 @@ impl PlaneBasis {
 
 /// A local plane of the ground near one object in one frame, in the background's frame.
 ///
-/// Its deviations speak of the ground below the object, which may lie far from the points of the plane.
+/// Its standard deviations refer to the ground below the object, which may be far from the points of the plane.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundPlane {
     /// Unit normal towards the camera's side.
@@ -72,9 +72,9 @@ pub struct GroundPlane {
     /// A point of the plane.
     #[schemars(with = "[f64; 3]")]
     pub point: Point3<f64>,
-    /// Ground points that took part.
+    /// Ground points used.
     pub num_points: usize,
-    /// Those within the RANSAC threshold.
+    /// Ground points within the RANSAC threshold.
     pub num_inliers: usize,
     /// Root mean square distance of the inliers, in units of the background.
     pub rms: f64,
@@ -82,15 +82,15 @@ pub struct GroundPlane {
     pub basis: PlaneBasis,
     /// Standard deviation of its height below the object, along the normal, in units of the background.
     pub height_std: f64,
-    /// The part of `height_std` that all frames of the object share, so that more frames do not make it smaller; at
-    /// most `height_std`.
+    /// The part of `height_std` that all frames of the object share, which more frames do not reduce; at most
+    /// `height_std`.
     pub common_height_std: f64,
     /// Standard deviation of its tilt about any axis in the plane, radians.
     pub tilt_std: f64,
 }
 
 impl GroundPlane {
-    /// The part of `height_std` that is new in every frame.
+    /// The part of `height_std` that is independent in every frame.
     pub fn own_height_std(&self) -> f64 {
         (self.height_std.powi(2) - self.common_height_std.powi(2)).max(0.0).sqrt()
     }
@@ -104,10 +104,10 @@ impl GroundPlane {
 /// Ground points and local planes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Ground {
-    /// Where the labels came from.
+    /// Source of the labels.
     pub source: GroundSource,
-    /// Background points labelled as ground, ascending.
+    /// Background points labeled as ground, ascending.
     pub point_ids: Vec<Point3dId>,
-    /// The local plane of each object in each frame; what has none is absent.
+    /// The local plane of each object in each frame; frames without one are absent.
     pub planes: BTreeMap<(ObjectId, FrameId), GroundPlane>,
 }

@@ -14,7 +14,7 @@ use crate::math::{Sim3, median};
 /// Method of a ground track; the name is that of the contract.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub enum GroundTrackMethod {
-    /// The ray of the lower mask edge meets the local ground plane.
+    /// Intersection of the ray of the lower mask edge with the local ground plane.
     #[default]
     #[serde(rename = "ground-contact")]
     GroundContact,
@@ -22,27 +22,27 @@ pub enum GroundTrackMethod {
 
 with_names!(GroundTrackMethod { GroundContact = "ground-contact" });
 
-/// Error of a contact point in four independent parts, by how it changes over the frames.
+/// Error of a contact point in four independent parts, by their correlation over the frames.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ContactError {
-    /// Covariance of the part that is new in every frame: pixels of the mask edge.
+    /// Covariance of the part that is independent in every frame: pixels of the mask edge.
     pub noise: [[f64; 3]; 3],
     /// Displacement by one standard deviation of the part that changes slowly: local plane, mask, view of the vehicle.
     pub drift: [f64; 3],
     /// Displacement by one standard deviation of the part that all frames share: plane, mask bias.
     pub common: [f64; 3],
-    /// The same of the focal length, and of the plane that would go with another one.
+    /// The same for the error of the focal length, including the change of the plane that goes with it.
     #[serde(default)]
     pub focal: [f64; 3],
 }
 
 impl ContactError {
-    /// Covariance of the part that is new in every frame.
+    /// Covariance of the part that is independent in every frame.
     pub fn noise(&self) -> Matrix3<f64> {
         Matrix3::from_fn(|row, column| self.noise[row][column])
     }
 
-    /// Covariance of the errors that frames do not have in common.
+    /// Covariance of the parts that the frames do not share.
     pub fn frame_covariance(&self) -> Matrix3<f64> {
         let drift = Vector3::from(self.drift);
         self.noise() + drift * drift.transpose()
@@ -54,7 +54,7 @@ impl ContactError {
         self.frame_covariance() + outer(self.common) + outer(self.focal)
     }
 
-    /// The same error with standard deviations so many times as large.
+    /// The same error with its standard deviations multiplied by a factor.
     pub fn scaled(&self, factor: f64) -> Self {
         Self {
             noise: self.noise.map(|row| row.map(|covariance| covariance * factor * factor)),
@@ -79,7 +79,7 @@ impl ContactError {
     }
 }
 
-/// Contact point of a vehicle in one frame: the middle of its footprint on the ground.
+/// Contact point of a vehicle in one frame: the center of its footprint on the ground.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundPosition {
     /// The frame.
@@ -88,7 +88,7 @@ pub struct GroundPosition {
     pub name: String,
     /// Its time, seconds.
     pub time_s: f64,
-    /// The middle of the vehicle's footprint, in the background's frame and unit.
+    /// Center of the vehicle's footprint, in the background's frame and unit.
     pub position: [f64; 3],
     /// Its error, in the same frame and unit.
     pub error: ContactError,
@@ -103,13 +103,13 @@ pub struct GroundPosition {
 pub enum NoContact {
     /// The background has no camera for the frame.
     NoCamera,
-    /// The image border cuts the mask, or it is tiny.
+    /// The mask is truncated by the image border, or tiny.
     Truncated,
-    /// Another vehicle hides the lower edge.
+    /// The lower edge is occluded by another vehicle.
     Occluded,
     /// No ground plane is known there.
     NoGroundPlane,
-    /// The contact line is so near the horizon that its distance is open.
+    /// The contact line is so near the horizon that its distance is undetermined.
     NearHorizon,
 }
 
@@ -126,15 +126,15 @@ impl NoContact {
     }
 }
 
-/// Trust in a ground track; words of its own, since no model is judged.
+/// Trust in a ground track; its words differ from those for trajectories, since no model is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum GroundTrackTrust {
     /// Distances and displacements are known to ±10 % or better.
     Usable,
-    /// Distances are known less well.
+    /// Distances are known less precisely.
     Coarse,
-    /// Positions contradict a smooth path by more than their standard deviations.
+    /// Positions deviate from a smooth path by more than their standard deviations allow.
     Inconsistent,
 }
 
@@ -151,7 +151,7 @@ pub struct GroundTrackVerdict {
     pub says: String,
 }
 
-/// Positions on the ground of a vehicle of which there is no usable 3D model.
+/// Positions on the ground of a vehicle without a usable 3D model.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct GroundTrack {
     /// The vehicle.
@@ -162,11 +162,11 @@ pub struct GroundTrack {
     pub confidence: f64,
     /// Method.
     pub method: GroundTrackMethod,
-    /// Why its 3D model cannot be used.
+    /// Reason why its 3D model cannot be used.
     pub reason: String,
     /// Verdict; `None` before the stage `metric`.
     pub verdict: Option<GroundTrackVerdict>,
-    /// On what its ground planes rest, and in how many frames.
+    /// Number of frames by the basis of their ground plane.
     pub ground: BTreeMap<PlaneBasis, usize>,
     /// Frames with a mask but without a position, by reason.
     pub omitted: BTreeMap<NoContact, usize>,
@@ -175,11 +175,11 @@ pub struct GroundTrack {
     /// Apparent width and height, meters; `None` where meters are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub apparent_size_m: Option<[Estimate; 2]>,
-    /// Length, width and height by the outlines, meters; `None` where meters are unknown.
+    /// Length, width and height from the outlines, meters; `None` where meters are unknown.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dimensions: Option<Dimensions>,
-    /// Direction along the length of a vehicle that does not move, degrees clockwise from north, 0 to 180, with its
-    /// standard deviation: front and rear are not distinguished. From the metric frame's second axis where north is not
+    /// Direction of the longitudinal axis of a stationary vehicle with its standard deviation, degrees clockwise from
+    /// north, 0 to 180: front and rear are not distinguished. From the metric frame's second axis where north is not
     /// known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub axis_deg: Option<Estimate>,
@@ -192,7 +192,7 @@ pub struct GroundTrack {
 }
 
 impl GroundTrack {
-    /// Without positions.
+    /// Ground track without positions.
     pub fn new(id: ObjectId, class: impl Into<String>, confidence: f64) -> Self {
         Self {
             id,
@@ -212,7 +212,7 @@ impl GroundTrack {
         }
     }
 
-    /// Corners of a vehicle at rest around the median of its positions, in the background's frame, counterclockwise
+    /// Corners of a stationary vehicle around the median of its positions, in the background's frame, counterclockwise
     /// from above; `None` without length, width and axis.
     pub fn footprint(&self, frame: &MetricFrame) -> Option<[Point3<f64>; 4]> {
         let Dimensions { length_m, width_m, .. } = self.dimensions?;
@@ -233,10 +233,10 @@ impl GroundTrack {
         format!("{class} {}", self.id)
     }
 
-    /// Frames without a position in words: `3 frames: near ...; 2 frames: ...`; `None` if there are none.
+    /// Frames without a position, for messages: `3 frames: near ...; 2 frames: ...`; `None` if there are none.
     pub fn omissions(&self) -> Option<String> {
-        let said = |(why, count): (&NoContact, &usize)| format!("{}: {}", counted(*count, "frame"), why.words());
-        let all: Vec<String> = self.omitted.iter().map(said).collect();
+        let omission = |(why, count): (&NoContact, &usize)| format!("{}: {}", counted(*count, "frame"), why.words());
+        let all: Vec<String> = self.omitted.iter().map(omission).collect();
         (!all.is_empty()).then(|| all.join("; "))
     }
 }

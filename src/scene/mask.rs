@@ -6,19 +6,19 @@ use serde::{Deserialize, Serialize};
 
 use super::Rect;
 
-/// A set of pixels of one frame. Only a window around the set pixels is stored: a frame has many small objects.
+/// Binary mask of one frame. Only a window around the set pixels is stored: a frame has many small objects.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 #[serde(into = "Runs", try_from = "Runs")]
 pub struct Mask {
     width: u32,
     height: u32,
-    /// Pixels outside of it are clear; it may be larger than the set pixels need.
+    /// Pixels outside of it are clear. It may be larger than the bounding box of the set pixels.
     window: BoundingBox,
     /// Row-major over the window.
     pixels: Vec<bool>,
 }
 
-/// A mask on disk: run lengths over the box around its pixels, row by row, of clear and of set ones in turn.
+/// Serialized mask: run lengths of clear and set pixels in turn, row by row over the bounding box.
 #[derive(Serialize, Deserialize)]
 struct Runs {
     size: (u32, u32),
@@ -26,7 +26,9 @@ struct Runs {
     runs: Vec<u32>,
 }
 
-/// Most pixels of a mask: far beyond any frame of a video; keeps a damaged or hostile file from filling the memory.
+/// Maximum number of pixels of a mask, far beyond any video frame.
+///
+/// It bounds the memory that a damaged or hostile file takes.
 pub const MAX_MASK_PIXELS: u64 = 1 << 28;
 
 /// Distance from the border of an image at which it may truncate a mask, pixels: networks omit the outermost pixels.
@@ -35,7 +37,7 @@ pub const TRUNCATION_PX: u32 = 3;
 impl From<Mask> for Runs {
     fn from(mask: Mask) -> Self {
         let window = mask.bounding_box().unwrap_or(BoundingBox { x0: 0, y0: 0, x1: 0, y1: 0 });
-        // The first pixels of a run of clear ones may be none.
+        // The first run, of clear pixels, may be empty.
         let pixels = mask.pixels_in(window);
         let lengths = pixels.chunk_by(|a, b| a == b).map(|run| run.len() as u32);
         let runs = pixels.first().filter(|first| **first).map(|_| 0).into_iter().chain(lengths).collect();
@@ -61,7 +63,7 @@ impl TryFrom<Runs> for Mask {
     }
 }
 
-/// An axis-aligned box of whole pixels: `x0 ≤ x < x1`, `y0 ≤ y < y1`.
+/// Axis-aligned box of whole pixels: `x0 ≤ x < x1`, `y0 ≤ y < y1`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct BoundingBox {
     /// First column.
@@ -85,8 +87,10 @@ impl BoundingBox {
         self.y1 - self.y0
     }
 
-    /// Returns true if the border of an image of a size, pixels, may truncate the object: masks end up to
-    /// [`TRUNCATION_PX`] before it, and as much as the sides of boxes are off, a twentieth of the object's size.
+    /// Returns true if the border of an image of this size, pixels, may truncate the object.
+    ///
+    /// Masks end up to [`TRUNCATION_PX`] before the border, or up to the error of the sides of boxes, a twentieth of
+    /// the object's size.
     pub fn is_truncated(&self, width: u32, height: u32) -> bool {
         let margin = |side: u32| TRUNCATION_PX.max(side / 20);
         let (x, y) = (margin(self.width()), margin(self.height()));
@@ -98,13 +102,13 @@ impl BoundingBox {
         self.width() as usize * self.height() as usize
     }
 
-    /// The pixels in both; empty if there are none.
+    /// Intersection; empty if the boxes do not overlap.
     fn intersection(&self, other: &Self) -> Self {
         let (x0, y0) = (self.x0.max(other.x0), self.y0.max(other.y0));
         Self { x0, y0, x1: self.x1.min(other.x1).max(x0), y1: self.y1.min(other.y1).max(y0) }
     }
 
-    /// Grown by a distance on all sides, within a frame.
+    /// The box enlarged by a distance on all sides, clipped to a frame.
     pub fn grown(&self, by_px: u32, (width, height): (u32, u32)) -> Self {
         Self {
             x0: self.x0.saturating_sub(by_px),
@@ -116,38 +120,38 @@ impl BoundingBox {
 }
 
 impl Mask {
-    /// No pixel set.
+    /// Mask without a set pixel.
     pub fn empty(width: u32, height: u32) -> Self {
         Self { width, height, window: BoundingBox { x0: 0, y0: 0, x1: 0, y1: 0 }, pixels: Vec::new() }
     }
 
-    /// Every pixel set.
+    /// Mask with all pixels set.
     pub fn full(width: u32, height: u32) -> Self {
         let window = BoundingBox { x0: 0, y0: 0, x1: width, y1: height };
         Self { width, height, window, pixels: vec![true; window.area()] }
     }
 
-    /// The pixels at which `inside(x, y)` holds.
+    /// Mask of the pixels for which `inside(x, y)` is true.
     pub fn from_fn(width: u32, height: u32, inside: impl FnMut(u32, u32) -> bool) -> Self {
         Self::in_window((width, height), BoundingBox { x0: 0, y0: 0, x1: width, y1: height }, inside)
     }
 
-    /// The pixels of a window, which must lie in the frame, at which `inside(x, y)` holds.
+    /// Mask of the pixels of a window for which `inside(x, y)` is true. The window must be in the frame.
     pub fn in_window(frame: (u32, u32), window: BoundingBox, mut inside: impl FnMut(u32, u32) -> bool) -> Self {
         let BoundingBox { x0, y0, x1, y1 } = window;
         let pixels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| (x, y))).map(|(x, y)| inside(x, y)).collect();
         Self::from_window(frame, window, pixels)
     }
 
-    /// The pixels of a window.
+    /// Mask from the pixels of a window.
     ///
-    /// * `pixels` – row-major over the window, which must lie in the frame.
+    /// * `pixels` – row-major over the window, which must be in the frame.
     pub fn from_window((width, height): (u32, u32), window: BoundingBox, pixels: Vec<bool>) -> Self {
         assert!(window.x1 <= width && window.y1 <= height && pixels.len() == window.area(), "a window of the frame");
         Self { width, height, window, pixels }
     }
 
-    /// The pixels whose value `inside` accepts.
+    /// Mask of the pixels whose value satisfies `inside`.
     ///
     /// * `values` – row-major over the frame.
     pub fn from_values<T: Copy>(width: u32, height: u32, values: &[T], inside: impl Fn(T) -> bool) -> Self {
@@ -181,7 +185,7 @@ impl Mask {
         let common = window.intersection(&self.window);
         let mut pixels = vec![false; window.area()];
         for (y, row) in self.parts(&common) {
-            let to = place(&window, common.x0, y);
+            let to = pixel_index(&window, common.x0, y);
             pixels[to..to + row.len()].copy_from_slice(row);
         }
         pixels
@@ -198,7 +202,7 @@ impl Mask {
         (self.window.y0..).zip(rows).map(|(y, row)| (y, self.window.x0, row))
     }
 
-    /// Row-major bytes of the frame, 255 where set: what image libraries and the contract's PNG files take.
+    /// Row-major bytes of the frame, 255 where set, as in image libraries and the contract's PNG files.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut bytes = vec![0; self.width as usize * self.height as usize];
         for (y, x0, row) in self.rows() {
@@ -208,11 +212,11 @@ impl Mask {
         bytes
     }
 
-    /// Returns true if a pixel is set; outside the frame none is.
+    /// Returns true if a pixel is set; false outside the frame.
     pub fn get(&self, x: i64, y: i64) -> bool {
         let BoundingBox { x0, y0, x1, y1 } = self.window;
         let is_stored = (i64::from(x0)..i64::from(x1)).contains(&x) && (i64::from(y0)..i64::from(y1)).contains(&y);
-        is_stored && self.pixels[place(&self.window, x as u32, y as u32)]
+        is_stored && self.pixels[pixel_index(&self.window, x as u32, y as u32)]
     }
 
     /// Returns true if the pixel at an image position is set (center of the first pixel at 0.5, 0.5).
@@ -220,12 +224,12 @@ impl Mask {
         self.get(x.floor() as i64, y.floor() as i64)
     }
 
-    /// Sets one pixel, which must lie in the frame.
+    /// Sets one pixel, which must be in the frame.
     pub fn set(&mut self, x: u32, y: u32) {
         self.fill(x..x + 1, y, true);
     }
 
-    /// Sets or clears some columns of a row, all of which must lie in the frame.
+    /// Sets or clears a range of columns of a row; all must be in the frame.
     pub fn fill(&mut self, columns: Range<u32>, y: u32, value: bool) {
         assert!(columns.end <= self.width && y < self.height, "pixels of the frame");
         let wanted = BoundingBox { x0: columns.start, y0: y, x1: columns.end.max(columns.start), y1: y + 1 };
@@ -234,12 +238,12 @@ impl Mask {
         }
         let common = wanted.intersection(&self.window);
         if common.area() > 0 {
-            let start = place(&self.window, common.x0, y);
+            let start = pixel_index(&self.window, common.x0, y);
             self.pixels[start..start + common.width() as usize].fill(value);
         }
     }
 
-    /// Sets or clears the pixels that a rectangle touches.
+    /// Sets or clears the pixels that a rectangle overlaps, wholly or in part.
     pub fn fill_rect(&mut self, rect: &Rect, value: bool) {
         let rect = rect.clipped(self.width, self.height);
         for y in rect.y0.floor() as u32..rect.y1.ceil() as u32 {
@@ -247,7 +251,7 @@ impl Mask {
         }
     }
 
-    /// Makes the window reach over some pixels. It grows by its own size at least, so that setting pixels one by one
+    /// Enlarges the window to contain some pixels. It grows by its own size at least, so that setting pixels one by one
     /// copies each of them a few times only.
     fn reserve(&mut self, wanted: &BoundingBox) {
         let old = self.window;
@@ -276,12 +280,12 @@ impl Mask {
         self.pixels.iter().filter(|&&p| p).count()
     }
 
-    /// The smallest box round all set pixels; `None` if there is none.
+    /// Bounding box of the set pixels; `None` if there is none.
     pub fn bounding_box(&self) -> Option<BoundingBox> {
         bounds_of(self.rows(), |set| set)
     }
 
-    /// Pixels set in both; the sizes must agree.
+    /// Number of pixels set in both; the sizes must agree.
     pub fn intersection_px2(&self, other: &Self) -> usize {
         assert_eq!((self.width, self.height), (other.width, other.height), "masks of one frame have one size");
         let common = self.window.intersection(&other.window);
@@ -303,42 +307,42 @@ impl Mask {
         let Some(added) = other.bounding_box() else { return };
         self.reserve(&added);
         for (y, row) in other.parts(&added) {
-            let start = place(&self.window, added.x0, y);
+            let start = pixel_index(&self.window, added.x0, y);
             self.pixels[start..start + row.len()].iter_mut().zip(row).for_each(|(a, &b)| *a |= b);
         }
     }
 
-    /// The pixels that are not set.
+    /// Mask of the pixels that are not set.
     pub fn complement(&self) -> Self {
         let mut out = Self::full(self.width, self.height);
         for (y, x0, row) in self.rows() {
-            let start = place(&out.window, x0, y);
+            let start = pixel_index(&out.window, x0, y);
             out.pixels[start..start + row.len()].iter_mut().zip(row).for_each(|(out, set)| *out = !set);
         }
         out
     }
 
-    /// Grown by `radius_px` in the maximum norm: a pixel is set if any within the square round it is.
+    /// Dilation by `radius_px` in the maximum norm: a pixel is set if any pixel of the square around it is.
     pub fn dilated(&self, radius_px: u32) -> Self {
         let Some(from) = self.bounding_box().filter(|_| radius_px > 0) else { return self.clone() };
         let window = from.grown(radius_px, (self.width, self.height));
         let (before, size) = (self.pixels_in(window), window.width() as usize);
         let mut pixels = vec![false; before.len()];
-        // Separable: along rows, then along columns, of which one row is looked at after the other.
+        // Separable: along rows, then along columns, row by row.
         for (row, out) in before.chunks_exact(size).zip(pixels.chunks_exact_mut(size)) {
-            spread(row, radius_px as usize, |x| out[x] = true);
+            dilate_row(row, radius_px as usize, |x| out[x] = true);
         }
         let wide = pixels.clone();
         let rows: Vec<Range<usize>> = (0..window.height() as usize).map(|y| y * size..(y + 1) * size).collect();
-        smear(&wide, &mut pixels, rows.iter().cloned(), radius_px);
-        smear(&wide, &mut pixels, rows.into_iter().rev(), radius_px);
+        dilate_columns(&wide, &mut pixels, rows.iter().cloned(), radius_px);
+        dilate_columns(&wide, &mut pixels, rows.into_iter().rev(), radius_px);
         Self { window, pixels, ..*self }
     }
 
-    /// Shrunk by `radius_px` in the maximum norm; pixels beyond the frame's border count as set.
+    /// Erosion by `radius_px` in the maximum norm; pixels outside the frame count as set.
     pub fn eroded(&self, radius_px: u32) -> Self {
         let Some(set) = self.bounding_box().filter(|_| radius_px > 0) else { return self.clone() };
-        // Nothing is set beyond the box, which one pixel more on each side says as well as all of them.
+        // No pixel outside the box is set; a margin of one clear pixel on each side represents all of them.
         let window = set.grown(1, (self.width, self.height));
         let inverted = |pixels: Vec<bool>| pixels.into_iter().map(|set| !set).collect();
         let own = BoundingBox { x0: 0, y0: 0, x1: window.width(), y1: window.height() };
@@ -346,12 +350,12 @@ impl Mask {
         Self { window, pixels: inverted(unset.pixels_in(own)), ..*self }
     }
 
-    /// Rows of a part of the window, by their place in the frame.
+    /// Rows of a part of the window, with their index in the frame.
     fn parts(&self, part: &BoundingBox) -> impl Iterator<Item = (u32, &[bool])> {
         let (rows, width) = (if part.area() > 0 { part.y0..part.y1 } else { 0..0 }, part.width() as usize);
         let x0 = part.x0;
         rows.map(move |y| {
-            let start = place(&self.window, x0, y);
+            let start = pixel_index(&self.window, x0, y);
             (y, &self.pixels[start..start + width])
         })
     }
@@ -366,21 +370,21 @@ impl PartialEq for Mask {
 
 impl Eq for Mask {}
 
-/// Where a pixel of a window lies among its pixels.
-fn place(window: &BoundingBox, x: u32, y: u32) -> usize {
+/// Index of a pixel in a window's row-major pixels.
+fn pixel_index(window: &BoundingBox, x: u32, y: u32) -> usize {
     (y - window.y0) as usize * window.width() as usize + (x - window.x0) as usize
 }
 
-/// The smallest box around the values that are inside; `None` if there is none.
+/// Bounding box of the values that satisfy `inside`; `None` if there is none.
 ///
-/// * `rows` – row and first column of each, and its values.
+/// * `rows` – row index, first column and values of each row.
 fn bounds_of<'a, T: Copy + 'a>(
     rows: impl Iterator<Item = (u32, u32, &'a [T])>,
     inside: impl Fn(T) -> bool,
 ) -> Option<BoundingBox> {
     let mut found: Option<BoundingBox> = None;
     for (y, start, row) in rows {
-        // Without an early end it is done in vectors: most rows are empty.
+        // Without early exit this is vectorized: most rows are empty.
         if !row.iter().fold(false, |any, &value| any | inside(value)) {
             continue;
         }
@@ -395,8 +399,8 @@ fn bounds_of<'a, T: Copy + 'a>(
     found
 }
 
-/// Calls `set` for every place in a row within `radius` of a set one.
-fn spread(row: &[bool], radius: usize, mut set: impl FnMut(usize)) {
+/// Calls `set` for every column of a row within `radius` of a set pixel.
+fn dilate_row(row: &[bool], radius: usize, mut set: impl FnMut(usize)) {
     let mut next = 0;
     for x in (0..row.len()).filter(|&x| row[x]) {
         let end = x.saturating_add(radius).saturating_add(1).min(row.len());
@@ -405,10 +409,10 @@ fn spread(row: &[bool], radius: usize, mut set: impl FnMut(usize)) {
     }
 }
 
-/// Sets in each row what is set in one of the `radius` rows before it.
+/// Sets in each row the columns that are set in one of the `radius` rows before it, or in the row itself.
 ///
-/// * `rows` – where they lie among the pixels, one after the other; all of one length.
-fn smear(pixels: &[bool], out: &mut [bool], rows: impl Iterator<Item = Range<usize>>, radius: u32) {
+/// * `rows` – index ranges of consecutive rows in `pixels`; all of one length.
+fn dilate_columns(pixels: &[bool], out: &mut [bool], rows: impl Iterator<Item = Range<usize>>, radius: u32) {
     let mut left: Vec<u32> = Vec::new();
     for row in rows {
         left.resize(row.len(), 0);
@@ -420,7 +424,7 @@ fn smear(pixels: &[bool], out: &mut [bool], rows: impl Iterator<Item = Range<usi
     }
 }
 
-/// One number per pixel: 0 is background, k is object k (or class k).
+/// Label of every pixel: 0 is background, k is object k (or class k).
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct LabelMap {
     /// Width, pixels.
@@ -432,22 +436,22 @@ pub struct LabelMap {
 }
 
 impl LabelMap {
-    /// The pixels that carry one label.
+    /// Mask of the pixels with one label.
     pub fn mask(&self, label: u8) -> Mask {
         Mask::from_values(self.width, self.height, &self.labels, |l| l == label)
     }
 
-    /// The pixels that carry any label but 0.
+    /// Mask of the pixels with any label but 0.
     pub fn any(&self) -> Mask {
         Mask::from_values(self.width, self.height, &self.labels, |l| l != 0)
     }
 
-    /// The label under the center of every pixel of an image of another size.
+    /// The map resized by nearest neighbors: the label at the center of every pixel of the new size.
     pub fn resized(&self, (width, height): (u32, u32)) -> Self {
         let from = |k: u32, to: u32, side: u32| (u64::from(2 * k + 1) * u64::from(side) / u64::from(2 * to)) as usize;
         let row = |y: u32| from(y, height, self.height) * self.width as usize;
-        let places = (0..height).flat_map(|y| (0..width).map(move |x| row(y) + from(x, width, self.width)));
-        Self { width, height, labels: places.map(|place| self.labels[place]).collect() }
+        let indices = (0..height).flat_map(|y| (0..width).map(move |x| row(y) + from(x, width, self.width)));
+        Self { width, height, labels: indices.map(|idx| self.labels[idx]).collect() }
     }
 
     /// The labels that occur, ascending, without 0.
@@ -460,7 +464,7 @@ impl LabelMap {
     }
 }
 
-/// One object found in one frame by a segmentation model.
+/// Detection of a segmentation model in one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Detection {
     /// Class name, from the model's metadata.
@@ -476,7 +480,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rectangles_are_filled_as_far_as_the_picture_goes() {
+    fn rectangles_are_filled_up_to_the_image_border() {
         let mut mask = Mask::empty(6, 4);
         mask.fill_rect(&Rect { x0: 3.5, y0: -2.0, x1: 9.0, y1: 1.2 }, true);
         assert_eq!(mask, Mask::from_fn(6, 4, |x, y| x >= 3 && y < 2));
@@ -505,7 +509,7 @@ mod tests {
     }
 
     #[test]
-    fn dilation_sets_what_is_near_and_nothing_else() {
+    fn dilation_sets_the_pixels_within_the_radius_only() {
         for (width, height, radius) in [(23, 17, 1), (23, 17, 3), (5, 30, 7), (9, 1, 2), (1, 9, 40), (12, 12, u32::MAX)]
         {
             let mask = Mask::from_fn(width, height, |x, y| (x * 7 + y * 13) % 31 == 3);
@@ -518,7 +522,7 @@ mod tests {
     }
 
     #[test]
-    fn erosion_keeps_what_lies_deep_and_nothing_else() {
+    fn erosion_keeps_the_pixels_beyond_the_radius_only() {
         for (width, height, radius) in
             [(23, 17, 1), (40, 30, 2), (5, 30, 3), (9, 1, 1), (12, 12, u32::MAX), (30, 20, 0)]
         {
@@ -538,7 +542,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_grow_and_do_not_show() {
+    fn growing_windows_do_not_change_masks() {
         use rand::Rng as _;
         let (width, height) = (37, 23);
         let mut rng = crate::math::seeded_rng(1, 0);

@@ -1,8 +1,8 @@
-//! Triangle meshes: the shape of a vehicle, as ground truth.
+//! Triangle meshes of vehicles, as ground truth.
 
 use nalgebra::Point3;
 
-/// Triangles over shared vertices.
+/// Indexed triangle mesh.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TriangleMesh {
     /// Vertices, in the frame and unit of the object.

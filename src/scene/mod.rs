@@ -1,6 +1,6 @@
-//! The nouns that every room speaks: frames, masks, flow, detections, reconstructions, ground, trajectories.
+//! Data types shared by all modules: frames, masks, flow, detections, reconstructions, ground, trajectories.
 //!
-//! Values only: nothing here reads a disk or runs an algorithm of its own.
+//! Values only: this module does not access files and has no algorithms of its own.
 
 mod boxes;
 mod flow;

@@ -1,4 +1,4 @@
-//! A sparse reconstruction, in COLMAP's terms.
+//! Sparse reconstruction, in COLMAP's terms.
 
 use std::collections::BTreeMap;
 
@@ -20,15 +20,15 @@ macro_rules! id {
 }
 
 id!(
-    /// A set of intrinsics; from 1, as in COLMAP.
+    /// Id of a set of intrinsics; from 1, as in COLMAP.
     CameraId(u32)
 );
 id!(
-    /// An image of a reconstruction; from 1, as in COLMAP. For frames of a source it is the frame index plus one.
+    /// Id of an image of a reconstruction; from 1, as in COLMAP. For frames of a source it is the frame index plus one.
     ImageId(u32)
 );
 id!(
-    /// A reconstructed point; from 1, as in COLMAP.
+    /// Id of a reconstructed point; from 1, as in COLMAP.
     Point3dId(u64)
 );
 
@@ -39,8 +39,8 @@ impl From<FrameId> for ImageId {
 }
 
 impl ImageId {
-    /// The frame that an image of a frame source represents; the inverse of `ImageId::from`. Id 0, which no source
-    /// gives, counts as frame 0.
+    /// Frame of an image of a frame source; the inverse of `ImageId::from`. Id 0, which does not occur in a source,
+    /// counts as frame 0.
     pub fn frame(self) -> FrameId {
         FrameId(self.0.saturating_sub(1))
     }
@@ -49,13 +49,13 @@ impl ImageId {
 /// A feature position in an image and the point that it observes, if any.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Observation {
-    /// Pixels, first pixel centre at (0.5, 0.5).
+    /// Image position, pixels; the center of the first pixel is at (0.5, 0.5).
     pub pixel: Point2<f64>,
-    /// The point seen here.
+    /// The observed point.
     pub point: Option<Point3dId>,
 }
 
-/// A registered image: one whose pose is known.
+/// Registered image: its pose is known.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Image {
     /// File name.
@@ -71,7 +71,7 @@ pub struct Image {
 /// One observation of a point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub struct TrackElement {
-    /// The image that sees the point.
+    /// The observing image.
     pub image: ImageId,
     /// Index in [`Image::observations`].
     pub observation_idx: u32,
@@ -82,23 +82,23 @@ pub struct TrackElement {
 pub struct Point3d {
     /// Position in the world frame of the reconstruction.
     pub position: Point3<f64>,
-    /// Colour.
+    /// Color.
     pub rgb: [u8; 3],
     /// Mean reprojection error, pixels.
     pub error_px: f64,
-    /// Where it was seen.
+    /// Observations.
     pub track: Vec<TrackElement>,
 }
 
 /// Form in which the file of origin describes a camera.
 #[derive(Clone, Debug, PartialEq)]
 pub enum CameraForm {
-    /// In a model that [`Camera`] covers, whatever the values are.
+    /// In a model that [`Camera`] supports, for any parameter values.
     Covered(Model),
-    /// In another one, with its parameters. Of its [`Camera`] only image size, focal lengths and principal point mean
-    /// something, and nothing may be projected with it.
+    /// In another model, with its parameters. Of its [`Camera`] only image size, focal lengths and principal point are
+    /// valid, and points must not be projected with it.
     Foreign(Model, Vec<f64>),
-    /// Not at all: a file of poses alone. Nothing may be projected with its [`Camera`].
+    /// Not at all: a file of poses alone. Points must not be projected with its [`Camera`].
     Unknown,
 }
 
@@ -107,8 +107,8 @@ pub enum CameraForm {
 pub struct Reconstruction {
     /// Intrinsics by id.
     pub cameras: BTreeMap<CameraId, Camera>,
-    /// Forms in which the files of origin describe their cameras, so that they are written in the same way. Cameras
-    /// that this program estimated have no entry.
+    /// Forms in which the files of origin describe their cameras, for writing them in the same form. Cameras estimated
+    /// by this program have no entry.
     pub camera_forms: BTreeMap<CameraId, CameraForm>,
     /// Registered images by id, which orders them in time for a video.
     pub images: BTreeMap<ImageId, Image>,
@@ -122,7 +122,7 @@ impl Reconstruction {
         self.images.is_empty()
     }
 
-    /// The images of a video before which the map is interrupted: hardly a track leads there across missing frames.
+    /// Images of a video before which the map is interrupted: too few tracks connect them with the images before.
     pub fn gaps(&self) -> Vec<ImageId> {
         let ids: Vec<ImageId> = self.images.keys().copied().collect();
         // By image: tracks that begin before it, less those that end before it.
@@ -158,12 +158,12 @@ impl Reconstruction {
         !matches!(self.camera_forms.get(&camera), Some(CameraForm::Foreign(..) | CameraForm::Unknown))
     }
 
-    /// The intrinsics of an image, if there are any that points can be projected with.
+    /// Intrinsics of an image; `None` if points cannot be projected with them.
     pub fn projecting_camera(&self, image: &Image) -> Option<&Camera> {
         self.cameras.get(&image.camera).filter(|_| self.can_project(image.camera))
     }
 
-    /// The first camera that nothing can be projected with, and the name of its model.
+    /// First camera with which points cannot be projected, and the name of its model.
     pub fn first_foreign(&self) -> Option<(CameraId, &'static str)> {
         self.cameras.keys().find_map(|id| match self.camera_forms.get(id)? {
             CameraForm::Covered(_) => None,
@@ -172,8 +172,8 @@ impl Reconstruction {
         })
     }
 
-    /// Reprojection errors of a point in those images of its track that it is in front of, pixels, recomputed. `None`
-    /// if one of the cameras is not known.
+    /// Recomputed reprojection errors of a point, pixels, in those images of its track whose camera it is in front of.
+    /// `None` if one of the cameras is not known.
     pub fn errors_of(&self, point: &Point3d) -> Option<Vec<f64>> {
         let error = |element: &TrackElement| {
             let image = self.images.get(&element.image)?;
@@ -194,8 +194,8 @@ impl Reconstruction {
         }
     }
 
-    /// The images that this (background) and an object's reconstruction have in common, matched by name and in the
-    /// order of this one's ids, with the frame that this one's id represents.
+    /// Images that this reconstruction (background) and that of an object have in common, matched by name, with their
+    /// frame in this reconstruction. In the order of this reconstruction's ids.
     pub fn paired_images<'a>(&'a self, object: &'a Self) -> Vec<(FrameId, &'a Image, &'a Image)> {
         let by_name: BTreeMap<&str, &Image> =
             object.images.values().map(|image| (image.name.as_str(), image)).collect();
@@ -214,12 +214,12 @@ impl Reconstruction {
         (count > 0).then(|| sum / count as f64)
     }
 
-    /// Positions of all points, without those that are not finite.
+    /// Positions of all points with finite coordinates.
     pub fn finite_positions(&self) -> Vec<Point3<f64>> {
         self.points.values().map(|point| point.position).filter(is_finite).collect()
     }
 
-    /// The places of an object's points that tell its shape: in at least `min_track` images, and along no axis further
+    /// Positions of an object's reliable points: observed in at least `min_track` images, and along no axis farther
     /// from the median than `max_deviation` times the median absolute deviation.
     pub fn solid_points(&self, min_track: usize, max_deviation: f64) -> Vec<Point3<f64>> {
         let seen = self.points.values().filter(|point| point.track.len() >= min_track);
@@ -232,7 +232,7 @@ impl Reconstruction {
         points
     }
 
-    /// Takes out points; the features that observed them stay.
+    /// Removes points; the features that observed them stay.
     pub fn remove_points(&mut self, ids: &[Point3dId]) {
         for id in ids {
             let Some(point) = self.points.remove(id) else { continue };
@@ -245,7 +245,7 @@ impl Reconstruction {
         }
     }
 
-    /// Takes out images with their observations, and points that fewer than two others observe.
+    /// Removes images with their observations, and points that fewer than two other images observe.
     pub fn remove_images(&mut self, ids: &[ImageId]) {
         for id in ids {
             let Some(image) = self.images.remove(id) else { continue };
@@ -260,7 +260,7 @@ impl Reconstruction {
         self.remove_points(if ids.is_empty() { &[] } else { &lost });
     }
 
-    /// Moves everything by a similarity of the world frame.
+    /// Transforms cameras and points by a similarity of the world frame.
     pub fn transform(&mut self, target_from_world: &Sim3) {
         for image in self.images.values_mut() {
             image.cam_from_world = target_from_world.transform_camera(&image.cam_from_world);
@@ -277,7 +277,7 @@ mod tests {
     use crate::synthetic::drive::{Options, drive};
 
     #[test]
-    fn images_go_with_their_observations() {
+    fn removing_images_removes_their_observations() {
         let whole = drive(&Options { num_frames: 8, ..Options::default() }, 1).object;
         let mut model = whole.clone();
         model.remove_images(&[]);
@@ -290,7 +290,7 @@ mod tests {
         assert!(model.points.values().all(|point| point.track.len() >= 2 && point.track.iter().all(is_there)));
         let seen = model.images.values().flat_map(|image| &image.observations).filter_map(|seen| seen.point);
         assert!(seen.into_iter().all(|id| model.points.contains_key(&id)));
-        // What one image alone sees is no point.
+        // Points that only one image observes are removed.
         let but_one: Vec<ImageId> = model.images.keys().copied().skip(1).collect();
         model.remove_images(&but_one);
         assert_eq!((model.images.len(), model.points.len()), (1, 0));

@@ -1,9 +1,9 @@
-//! The methods of estimating a scale ratio: the table that options, benchmark, charts, report and documents follow.
+//! Table of the methods of estimating a scale ratio, for options, benchmark, charts, report and documents.
 
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
 
-/// Method of estimating a scale ratio; the names are those of the contract.
+/// Method of estimating a scale ratio; the names are those of the output contract.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ScaleMethod {
@@ -14,13 +14,13 @@ pub enum ScaleMethod {
     /// Constant distance in all frames, robust least squares.
     #[serde(rename = "least-squares")]
     RobustLeastSquares,
-    /// Adjustment of vehicle and ground planes.
+    /// Joint adjustment of vehicle and ground planes.
     Joint,
-    /// Reference method: path in a plane, whichever.
+    /// Reference method: trajectory in any plane.
     OzdenPlane,
-    /// Reference method: path across the axis about which the vehicle turns.
+    /// Reference method: trajectory perpendicular to the axis about which the vehicle turns.
     OzdenAxis,
-    /// Reference method: motion in the direction in which the vehicle points.
+    /// Reference method: motion in the direction of the heading.
     OzdenHeading,
     /// Reference method: contact with ground planes weighted by their covariance.
     CameraHeight,
@@ -37,9 +37,9 @@ pub struct MethodInfo {
     pub name: &'static str,
     /// Source.
     pub citation: &'static str,
-    /// Assumption on the vehicle, and the data that it is compared with.
+    /// Assumption on the vehicle, and the data used.
     pub needs: &'static str,
-    /// True for methods of the literature that serve as a comparison only: no verdict follows from them.
+    /// True for methods of the literature that serve as a comparison only: verdicts do not use them.
     pub is_reference: bool,
 }
 

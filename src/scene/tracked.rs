@@ -1,4 +1,4 @@
-//! Objects that were followed through the frames, and what is known of them before any geometry.
+//! Tracked objects, with their properties before any reconstruction.
 
 use std::fmt;
 
@@ -7,35 +7,35 @@ use serde::{Deserialize, Serialize};
 
 use super::{FrameId, ObjectId};
 
-/// In how many frames what found an object.
+/// Number of frames of an object by the source of its mask.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 pub struct DetectionCounts {
     /// Frames in which its mask was given.
     pub given: usize,
-    /// Frames in which the detector alone found it, or a segmentation network.
+    /// Frames with a detection by the detector alone, or by a segmentation network.
     pub detector: usize,
-    /// Frames in which its motion alone found it.
+    /// Frames with a detection by motion alone.
     pub motion: usize,
-    /// Frames in which both did.
+    /// Frames with detections by both.
     pub both: usize,
-    /// Frames in which nothing found it again, and the mask network was asked for it where it should be.
+    /// Frames without a detection, in which the mask network was prompted at its predicted position.
     pub prompted: usize,
-    /// Frames in which its mask was carried by optical flow.
+    /// Frames in which its mask was propagated by optical flow.
     pub carried: usize,
 }
 
 impl DetectionCounts {
-    /// Frames in which the detector found it, or a segmentation network.
+    /// Frames with a detection by the detector or a segmentation network.
     pub fn by_detector(&self) -> usize {
         self.detector + self.both
     }
 
-    /// Frames in which it was found, by whatever.
+    /// Frames with a detection by any source.
     pub fn detected(&self) -> usize {
         self.by_detector() + self.motion
     }
 
-    /// The frames of both.
+    /// Sums of both counts.
     pub fn plus(&self, other: &Self) -> Self {
         Self {
             given: self.given + other.given,
@@ -47,7 +47,7 @@ impl DetectionCounts {
         }
     }
 
-    /// Frames in which its motion found it.
+    /// Frames with a detection by motion.
     pub fn by_motion(&self) -> usize {
         self.motion + self.both
     }
@@ -63,9 +63,9 @@ impl fmt::Display for DetectionCounts {
             ("box prompt at the predicted position", self.prompted),
             ("propagated by optical flow", self.carried),
         ];
-        let said = parts.iter().filter(|(_, frames)| *frames > 0);
-        let said: Vec<String> = said.map(|(what, frames)| format!("{what} {frames}")).collect();
-        if said.is_empty() { f.write_str("nothing") } else { f.write_str(&said.join(", ")) }
+        let texts = parts.iter().filter(|(_, frames)| *frames > 0);
+        let texts: Vec<String> = texts.map(|(what, frames)| format!("{what} {frames}")).collect();
+        if texts.is_empty() { f.write_str("nothing") } else { f.write_str(&texts.join(", ")) }
     }
 }
 
@@ -73,22 +73,22 @@ impl fmt::Display for DetectionCounts {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Outline {
-    /// They were given.
+    /// Given by the user.
     Given,
     /// By a network.
     #[default]
     Network,
-    /// By colours inside a box: good for finding the object, not for its outline.
+    /// By colors inside a box: sufficient to locate the object, not for its outline.
     Coarse,
 }
 
-/// Motion of an object against the background while it was visible.
+/// Motion state of an object relative to the background while it was visible.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Movement {
-    /// It moved, at least for a while.
+    /// Moving, at least for a part of the time.
     Moving,
-    /// It stood still all the time.
+    /// Stationary all the time.
     #[serde(rename = "standing", alias = "stationary")]
     Stationary,
     /// The observations do not decide.
@@ -109,15 +109,15 @@ pub struct MovementFinding {
 /// Evidence that two detections show one object. `None` marks evidence that is not available.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct IdentityEvidence {
-    /// Distance of the second from its prediction by the first, as a share of the tolerance: 0 to 1.
+    /// Distance of the second from its position predicted by the first, as a share of the tolerance: 0 to 1.
     pub place: Option<f64>,
-    /// Similarity of their colours (Bhattacharyya coefficient), 0 to 1.
+    /// Similarity of their colors (Bhattacharyya coefficient), 0 to 1.
     pub colours: Option<f64>,
     /// Ratio of areas, second to first, corrected for the distance to the camera.
     pub size: Option<f64>,
-    /// Points that both show, each in the same place of the object.
+    /// Points matched between both at consistent positions on the object.
     pub num_points: Option<usize>,
-    /// Points that look alike in both, of which those are a part.
+    /// Matches by appearance, of which `num_points` are a part.
     pub num_matches: Option<usize>,
 }
 
@@ -131,12 +131,12 @@ impl fmt::Display for IdentityEvidence {
             self.num_points.map(|points| format!("{points} points in common")),
             self.num_matches.map(|matches| format!("of {matches} matches")),
         ];
-        let said: Vec<String> = parts.into_iter().flatten().collect();
-        if said.is_empty() { f.write_str("nothing") } else { f.write_str(&said.join(", ")) }
+        let texts: Vec<String> = parts.into_iter().flatten().collect();
+        if texts.is_empty() { f.write_str("nothing") } else { f.write_str(&texts.join(", ")) }
     }
 }
 
-/// A time in which an object was not seen, or the seam between two pieces of its track that meet.
+/// Gap in an object's track, or the seam between two adjacent pieces of it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Gap {
     /// The last frame before it.
@@ -147,25 +147,25 @@ pub struct Gap {
     pub evidence: IdentityEvidence,
 }
 
-/// An object that might be the same as another one, and is not taken for it.
+/// Object that might be identical with another one, but was not merged with it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct UnmergedTrack {
-    /// The other one, which is seen later.
+    /// The other object, which appears later.
     pub object: ObjectId,
     /// Evidence that both are one object.
     pub evidence: IdentityEvidence,
-    /// Why they are kept apart, in words.
+    /// Reason why they are not merged, in words.
     pub reason: String,
 }
 
-/// An object that was followed through the frames.
+/// Object tracked through the frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct TrackedObject {
     /// Its id, from 1.
     pub id: ObjectId,
-    /// Its class name; `vehicle` where nothing says more.
+    /// Its class name; `vehicle` if unknown.
     pub class: String,
-    /// Mean score of what found it, 0 to 1; 1 for given masks.
+    /// Mean score of its detections, 0 to 1; 1 for given masks.
     pub confidence: f64,
     /// Sources of its detections.
     pub found_in: DetectionCounts,
@@ -176,14 +176,14 @@ pub struct TrackedObject {
     pub mask_quality: Option<f64>,
     /// Motion state.
     pub movement: MovementFinding,
-    /// Why it is not reconstructed, where that is decided already: neither class nor motion supports it.
+    /// Reason why it is not reconstructed, where that is decided already: neither class nor motion supports it.
     pub left_out: Option<String>,
     /// Frames in which it has a mask, ascending.
     pub frames: Vec<FrameId>,
-    /// Where it was lost from sight and found again, ascending.
+    /// Gaps between loss and re-detection, ascending.
     #[serde(default)]
     pub gaps: Vec<Gap>,
-    /// Objects seen later that might be this one.
+    /// Later objects that might be identical with this one.
     #[serde(default)]
     pub apart: Vec<UnmergedTrack>,
 }
@@ -200,7 +200,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_found_an_object_is_said_in_words() {
+    fn detection_counts_are_displayed() {
         let found = DetectionCounts { both: 12, motion: 3, carried: 40, ..DetectionCounts::default() };
         assert_eq!(found.to_string(), "detector and motion 12, motion only 3, propagated by optical flow 40");
         assert_eq!((found.by_detector(), found.by_motion()), (12, 15));
@@ -208,7 +208,7 @@ mod tests {
     }
 
     #[test]
-    fn what_says_that_two_sights_show_one_object_is_said_in_words() {
+    fn identity_evidence_is_displayed() {
         let evidence = IdentityEvidence { place: Some(0.25), num_points: Some(17), ..IdentityEvidence::default() };
         assert_eq!(
             evidence.to_string(),

@@ -9,38 +9,38 @@ use serde::{Deserialize, Serialize};
 use super::{Dimensions, FrameId, GroundTrack, Metric, MetricPose, ObjectId, PlaneBasis, ScaleMethod, Travel, Verdict};
 use crate::math::Sim3;
 
-/// The ratio r between the object's and the background's unit of length, and how sure it is.
+/// Ratio r between the object's and the background's unit of length, with its uncertainty.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleEstimate {
     /// r > 0: one unit of the object's model is r units of the background.
     pub ratio: f64,
-    /// Its standard deviation, where the method gives one.
+    /// Its standard deviation; `None` where the method gives none.
     pub std: Option<f64>,
     /// The method that gave `ratio`.
     pub method: ScaleMethod,
-    /// True if the motion leaves r undetermined: `ratio` is then not to be used.
+    /// True if the motion leaves r undetermined: `ratio` must not be used then.
     pub degenerate: bool,
-    /// Why it is degenerate.
+    /// Reason why it is degenerate.
     pub reason: Option<String>,
     /// Ratios by all methods that gave one, for the model that the trajectory refers to.
     pub alternatives: Ratios,
     /// Ratios by all methods for the object before its adjustment with the ground; `None` if that is the same model,
     /// because nothing was adjusted after structure from motion.
     pub as_reconstructed: Option<Ratios>,
-    /// Where `std` comes from; `None` where the method gives none.
+    /// Contributions to `std`; `None` where the method gives none.
     pub shares: Option<ScaleShares>,
     /// Evidence for the ratio; `None` in files that do not state it.
     pub support: Option<ScaleSupport>,
     /// Ratio by the camera path, where the vehicle is stationary; it is part of `ratio` and `std`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub camera_path: Option<CameraPathRatio>,
-    /// Results of the reference methods for the object before its adjustment; empty unless they were wanted.
+    /// Results of the reference methods for the object before its adjustment; empty unless requested.
     #[serde(default, skip_serializing_if = "References::is_empty")]
     pub references: References,
 }
 
 impl ScaleEstimate {
-    /// A ratio of which nothing else is known: neither a deviation nor what other methods say.
+    /// Ratio without standard deviation and without the results of other methods.
     pub fn new(ratio: f64, method: ScaleMethod) -> Self {
         Self {
             ratio,
@@ -58,10 +58,10 @@ impl ScaleEstimate {
     }
 }
 
-/// Scale ratio of a stationary vehicle by the cameras of the background, from which its points are triangulated.
+/// Scale ratio of a stationary vehicle, whose points are triangulated from the cameras of the background.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct CameraPathRatio {
-    /// The ratio: one in results of this version, in older ones that of two camera paths.
+    /// The ratio: one in results of this version, in older ones the ratio of two camera paths.
     pub ratio: f64,
     /// Its standard deviation.
     pub std: f64,
@@ -81,37 +81,39 @@ pub struct CameraPathRatio {
 pub enum StationaryVehicles {
     /// None.
     None,
-    /// Vehicles that are found to be stationary.
+    /// Vehicles that are classified as stationary.
     #[default]
     Found,
     /// All vehicles: the user knows that none moves.
     All,
 }
 
-/// Where the standard deviation of a scale ratio comes from. Each is a standard deviation as a share of the ratio; they
-/// are independent, so that their squares add up to that of the whole.
+/// Contributions to the standard deviation of a scale ratio.
+///
+/// Each is a standard deviation as a share of the ratio. They are independent: the total variance is the sum of their
+/// squares.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ScaleShares {
-    /// Of single frames: what planes and image positions of a stretch of time have in common.
+    /// Of single frames: errors that planes and image positions share over a stretch of time.
     pub frames: f64,
-    /// Of the ground's height and tilt, as far as all frames have them in common.
+    /// Of the part of the ground's height and tilt error that all frames share.
     pub plane: f64,
-    /// Of where the vehicle touches the ground.
+    /// Of the contact of the vehicle with the ground.
     pub contact: f64,
     /// Of the camera's focal length; 0 where it is known.
     pub focal: f64,
-    /// Disagreement with the other methods that the rest does not explain.
+    /// Disagreement with the other methods that the other contributions do not explain.
     pub disagreement: f64,
 }
 
 impl ScaleShares {
-    /// The standard deviation of the ratio, as a share of it.
+    /// Standard deviation of the ratio, as a share of it.
     pub fn total(&self) -> f64 {
         let Self { frames, plane, contact, focal, disagreement } = *self;
         [frames, plane, contact, focal, disagreement].map(|share| share * share).iter().sum::<f64>().sqrt()
     }
 
-    /// The same under a focal length that is known.
+    /// The same for a known focal length.
     pub fn given_focal(&self) -> f64 {
         Self { focal: 0.0, ..*self }.total()
     }
@@ -124,30 +126,30 @@ pub struct ScaleSupport {
     pub num_points: usize,
     /// Frames with both cameras and a ground plane.
     pub num_views: usize,
-    /// Frames whose outline shows where the vehicle touches the ground; 0 where none was looked at.
+    /// Frames whose outline shows the contact with the ground; 0 where none was examined.
     pub frames_with_outline: usize,
     /// Median angle between the planes' normals and the object's upright direction, radians.
     pub tilt: f64,
     /// Standard deviation of the object's distance to the ground over the frames, as a share of the camera's height
     /// above ground.
     pub ground_residual: f64,
-    /// The largest difference to another method's ratio of the same model, as a share of the ratio; `None` where no
-    /// other has an answer.
+    /// Largest difference from another method's ratio of the same model, as a share of the ratio; `None` where no other
+    /// method gives one.
     pub disagreement: Option<f64>,
 }
 
-/// Which of an object's models an answer speaks of.
+/// State of the object's model to which a result refers.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum ModelState {
-    /// As structure from motion left it, or as it was given.
+    /// From structure from motion, or as given.
     #[default]
     AsReconstructed,
     /// Adjusted together with the ground.
     Adjusted,
 }
 
-/// Scale ratios by the method that gave them. Which model of the object they speak of is reported where they stand.
+/// Scale ratios by method. The field that contains them states the object's model to which they refer.
 pub type Ratios = BTreeMap<ScaleMethod, f64>;
 
 /// Result of a reference method.
@@ -164,17 +166,17 @@ pub struct Reference {
 /// Results of the reference methods.
 pub type References = BTreeMap<ScaleMethod, Reference>;
 
-/// The unit of length of a result.
+/// Unit of length of a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Unit {
     /// That of the background reconstruction: arbitrary.
     Background,
-    /// Metres.
+    /// Meters.
     Metre,
 }
 
-/// Where an object is in one frame.
+/// Pose of an object in one frame.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct ObjectPose {
     /// The frame.
@@ -186,7 +188,7 @@ pub struct ObjectPose {
     /// The same point of the object in every frame, in the background's frame: the center of the body where
     /// [`ObjectTrajectory::body_center`] is known, otherwise that of its points.
     pub position: [f64; 3],
-    /// From the frame of the object's model to that of the background.
+    /// Transform from the frame of the object's model to that of the background.
     pub world_from_object: Sim3,
     /// Position and motion in meters; `None` where they are unknown.
     #[serde(flatten)]
@@ -223,11 +225,11 @@ pub struct ObjectTrajectory {
     pub confidence: f64,
     /// Its scale ratio.
     pub scale: ScaleEstimate,
-    /// On what its ground planes rest, and in how many frames.
+    /// Number of frames by the basis of their ground plane.
     #[serde(default)]
     pub ground: BTreeMap<PlaneBasis, usize>,
-    /// The point of the object at the positions; `None` where outlines do not show it: then it is the center of the
-    /// points.
+    /// Point of the object to which the positions refer; `None` where outlines do not determine it: then they refer to
+    /// the center of the points.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub body_center: Option<BodyCenter>,
     /// Verdict; `None` if the trajectory was not judged.
@@ -245,7 +247,7 @@ pub struct ObjectTrajectory {
 }
 
 impl ObjectTrajectory {
-    /// A trajectory without poses, of which nothing but the scale ratio is known.
+    /// Trajectory without poses, with a scale ratio only.
     pub fn new(id: ObjectId, class: impl Into<String>, confidence: f64, scale: ScaleEstimate) -> Self {
         Self {
             id,
@@ -263,7 +265,7 @@ impl ObjectTrajectory {
 
     /// Standard deviation of the scale ratio, as a share of it.
     pub fn log_ratio_std(&self) -> f64 {
-        // A method that states none differs by so much from others where it works.
+        // Typical difference of a method without standard deviation from the others, where it works.
         self.scale.std.map_or(0.1, |std| std / self.scale.ratio)
     }
 
@@ -291,7 +293,7 @@ impl ObjectTrajectory {
         headings.into_iter().map(|heading| Some(heading? - shift)).collect()
     }
 
-    /// Moves all positions to the center of the body.
+    /// Makes all positions refer to the center of the body.
     pub fn refer_to(&mut self, body: BodyCenter) {
         for pose in &mut self.poses {
             pose.position = (pose.world_from_object * Point3::from(body.in_object)).coords.into();
@@ -299,7 +301,7 @@ impl ObjectTrajectory {
         self.body_center = Some(body);
     }
 
-    /// Returns true if it must not be used for measurements: its scale is undetermined, or it is rejected.
+    /// Returns true if the trajectory must not be used for measurements: its scale is undetermined, or it is rejected.
     pub fn is_ruled_out(&self) -> bool {
         self.scale.degenerate || self.verdict.as_ref().is_some_and(Verdict::is_refuted)
     }
@@ -315,7 +317,7 @@ impl ObjectPose {
 /// All trajectories of a run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Trajectories {
-    /// The unit of every length but those that are named after theirs.
+    /// Unit of every length without a unit in its name.
     pub unit: Unit,
     /// Metric scale; `None` in files that do not state it.
     pub metric: Option<Metric>,

@@ -7,14 +7,13 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Trust {
-    /// Everything that is known agrees with it, and its deviation is small.
+    /// All evidence supports it, and its standard deviation is small.
     Good,
-    /// Nothing speaks against it that counts; its deviation is larger, or something small is odd.
+    /// No significant evidence against it, but a larger standard deviation or minor doubts.
     Fair,
-    /// Something speaks against it.
+    /// Evidence against it.
     Doubtful,
-    /// It cannot be right, or its scale is undetermined. `not-to-be-trusted` before version 3 of
-    /// `trajectories.json`.
+    /// It is refuted, or its scale is undetermined. `not-to-be-trusted` before version 3 of `trajectories.json`.
     #[serde(alias = "not-to-be-trusted")]
     Rejected,
 }
@@ -33,7 +32,7 @@ pub enum ReasonKind {
     FocalLength,
     /// Number of the object's points, and of frames in which it has a position.
     Amount,
-    /// Its size in the picture.
+    /// Its size in the image.
     Pixels,
     /// Source and confidence of its detections.
     Detection,
@@ -43,7 +42,7 @@ pub enum ReasonKind {
     Ground,
     /// Proportions, compared with those of vehicles.
     Shape,
-    /// Its size next to that of the other vehicles.
+    /// Its size compared with that of the other vehicles.
     Size,
     /// Its speed, measured with its own size.
     Speed,
@@ -55,15 +54,15 @@ pub enum ReasonKind {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Finding {
-    /// It speaks for the trajectory.
+    /// Evidence for the trajectory.
     Supports,
-    /// It speaks against it.
+    /// Evidence against the trajectory.
     Doubts,
-    /// It rules it out.
+    /// Refutation of the trajectory.
     Refutes,
 }
 
-/// One thing that speaks for or against a trajectory.
+/// Evidence for or against a trajectory.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Reason {
     /// Subject.
@@ -72,23 +71,23 @@ pub struct Reason {
     pub finding: Finding,
     /// Observation in words, with its figure.
     pub says: String,
-    /// Weight, 0 to 1: doubts that sum to 1 make a trajectory doubtful; one that refutes weighs 1. Support weighs
-    /// nothing: it cancels no doubt.
+    /// Weight, 0 to 1: doubts that sum to 1 make a trajectory doubtful; a refutation has weight 1. Support has weight
+    /// 0, since it does not cancel doubts.
     pub weight: f64,
 }
 
 impl Reason {
-    /// Something that speaks for the trajectory.
+    /// Evidence for the trajectory.
     pub fn supports(kind: ReasonKind, says: impl Into<String>) -> Self {
         Self { kind, finding: Finding::Supports, says: says.into(), weight: 0.0 }
     }
 
-    /// Something that speaks against it and counts `weight`.
+    /// Evidence against the trajectory, with its weight.
     pub fn doubts(kind: ReasonKind, weight: f64, says: impl Into<String>) -> Self {
         Self { kind, finding: Finding::Doubts, says: says.into(), weight }
     }
 
-    /// Something that rules it out.
+    /// Refutation of the trajectory.
     pub fn refutes(kind: ReasonKind, says: impl Into<String>) -> Self {
         Self { kind, finding: Finding::Refutes, says: says.into(), weight: 1.0 }
     }
@@ -97,25 +96,25 @@ impl Reason {
 /// Verdict on a trajectory, with its reasons.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 pub struct Verdict {
-    /// Trust that follows from all reasons.
+    /// Trust, from all reasons.
     pub state: Trust,
-    /// Reasons: refuting ones, then doubts by falling weight, then support.
+    /// Reasons: refutations, then doubts by decreasing weight, then support.
     pub reasons: Vec<Reason>,
 }
 
 impl Verdict {
-    /// Reasons against the trajectory, by falling weight.
+    /// Reasons against the trajectory, by decreasing weight.
     pub fn against(&self) -> impl Iterator<Item = &Reason> {
         self.reasons.iter().filter(|reason| reason.finding != Finding::Supports)
     }
 
-    /// Evidence against the trajectory, the gravest first, without a moderate standard deviation of the scale: that is
-    /// an uncertainty, and no complaint.
+    /// Evidence against the trajectory, the heaviest first, without a moderate standard deviation of the scale: that is
+    /// an uncertainty, not a complaint.
     pub fn complaints(&self) -> impl Iterator<Item = &Reason> {
         self.against().filter(|reason| reason.kind != ReasonKind::Deviation || reason.weight >= 1.0)
     }
 
-    /// Returns true if a reason rules the trajectory out.
+    /// Returns true if a reason refutes the trajectory.
     pub fn is_refuted(&self) -> bool {
         self.state == Trust::Rejected
     }

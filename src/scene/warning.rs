@@ -90,13 +90,13 @@ impl Topic {
         Warning { topic: self, text: text.into() }
     }
 
-    /// Line in place of more warnings on this topic.
+    /// Line that replaces further warnings on this topic.
     pub fn not_shown(self, num: usize) -> Warning {
         self.warning(format!("{num} more, in run.json"))
     }
 }
 
-/// Problem of an input or a result that exists nevertheless.
+/// Problem of an input or of a result that exists nevertheless.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Warning {
     /// Topic, which names the section of docs/troubleshooting.md.
@@ -106,13 +106,13 @@ pub struct Warning {
 }
 
 impl Warning {
-    /// The same warning with its subject in front.
+    /// The same warning, prefixed with its subject.
     pub fn of(&self, subject: &str) -> Self {
         Self { topic: self.topic, text: format!("{subject}: {}", self.text) }
     }
 }
 
-/// Start and end of the reference to the section, behind the text.
+/// Start and end of the reference to the section, after the text.
 const REFERENCE: [&str; 2] = [" [troubleshooting: ", "]"];
 
 impl fmt::Display for Warning {
@@ -127,7 +127,7 @@ pub fn warning_text(displayed: &str) -> &str {
     split(displayed).map_or(displayed, |(text, _)| text)
 }
 
-/// Displayed warnings of which at most five are on one topic, and for each topic with more a line with their number.
+/// Displayed warnings, at most five on one topic; for each topic with more, a line with the number of the rest.
 pub fn first_of_each_topic(displayed: Vec<String>) -> Vec<String> {
     let mut nums = BTreeMap::<Topic, usize>::new();
     let mut is_shown = |warning: &String| {
@@ -145,7 +145,7 @@ pub fn first_of_each_topic(displayed: Vec<String>) -> Vec<String> {
     shown
 }
 
-/// Warnings that are shown of one topic: more nobody reads, and `run.json` has all.
+/// Maximum number of warnings shown on one topic: nobody reads more, and `run.json` has all.
 pub const MAX_SHOWN: usize = 5;
 
 /// Text and section of a displayed warning.

@@ -6,8 +6,9 @@ use super::region::Region;
 use crate::math::upper_median;
 use crate::scene::{BoundingBox, Flow, Rect};
 
-/// Of a difference in pixels, which is far from the ends of what a number can be: `hypot`, which minds these, takes
-/// ten times as long.
+/// Length of a displacement in pixels.
+///
+/// It can neither overflow nor underflow; `hypot`, which guards against both, takes ten times as long.
 pub(super) fn length([x, y]: [f64; 2]) -> f64 {
     (x * x + y * y).sqrt()
 }
@@ -25,18 +26,20 @@ impl Affine {
     const MIN_PIXELS: usize = 100;
     /// Maximum change of a vehicle's area from frame to frame, as a factor.
     const MAX_GROWTH: f64 = 1.3;
-    /// Number of rounds of fitting, each without the outliers of the one before.
+    /// Number of fits, each to the inliers of the one before.
     const ROUNDS: usize = 3;
     /// Maximum residual of an inlier, in medians of all residuals.
     const MAX_RESIDUAL_MEDIANS: f64 = 2.5;
-    /// Residual up to which a pixel is an inlier whatever the median, pixels.
+    /// Residual up to which a pixel is always an inlier, pixels.
     const MAX_RESIDUAL_PX: f64 = 0.5;
 
     pub(super) fn shift([dx, dy]: [f64; 2]) -> Self {
         Self { origin: [0.0; 2], rows: [[dx, 1.0, 0.0], [dy, 0.0, 1.0]] }
     }
 
-    /// The motion with the least squares of residuals; `None` if there are too few pixels or they do not say.
+    /// Fits the motion to flow by least squares with outlier rejection.
+    ///
+    /// `None` with too few pixels, a singular system, or an implausible change of area.
     pub(super) fn fit(pixels: &[(u32, u32)], flow: &Flow) -> Option<Self> {
         let pairs = pixels.iter().map(|&(x, y)| {
             let ([dx, dy], from) = (flow.at(x, y), [f64::from(x) + 0.5, f64::from(y) + 0.5]);
@@ -86,7 +89,7 @@ impl Affine {
         a * d - b * c
     }
 
-    /// First this motion, then another.
+    /// Composition: this motion followed by another.
     pub(super) fn then(&self, next: &Self) -> Self {
         let [[e, a, b], [f, c, d]] = self.rows;
         let constants = next.at([e, f]);
@@ -97,17 +100,17 @@ impl Affine {
         Self { origin: self.origin, rows: [row(0), row(1)] }
     }
 
-    /// The pixels whose centres come from a region; `None` if none lies in the frame.
+    /// Warps a region by the motion; `None` if nothing remains in the frame.
     pub(super) fn apply(&self, region: &Region) -> Option<Region> {
-        moved(region, |corner| self.at(corner), |centre| self.source(centre[0], centre[1]))
+        warped(region, |corner| self.at(corner), |center| self.source(center[0], center[1]))
     }
 
-    /// The pixels whose centres go to a region; `None` if none lies in the frame.
-    pub(super) fn pulled(&self, region: &Region) -> Option<Region> {
-        moved(region, |corner| self.source(corner[0], corner[1]), |centre| self.at(centre))
+    /// Warps a region by the inverse motion; `None` if nothing remains in the frame.
+    pub(super) fn apply_inverse(&self, region: &Region) -> Option<Region> {
+        warped(region, |corner| self.source(corner[0], corner[1]), |center| self.at(center))
     }
 
-    /// Where a target position comes from.
+    /// Inverse motion: source of a target position.
     pub(super) fn source(&self, x: f64, y: f64) -> [f64; 2] {
         let [[e, a, b], [f, c, d]] = self.rows;
         let (u, v) = (x - e, y - f);
@@ -116,14 +119,18 @@ impl Affine {
     }
 }
 
-/// The pixels whose centres come from a region; `None` if none lies in the frame.
+/// Warps a region: the pixels whose centers have their source in it; `None` if none is in the frame.
 ///
-/// * `there` – where a position of the region goes.
-/// * `back` – where a position comes from.
-fn moved(region: &Region, there: impl Fn([f64; 2]) -> [f64; 2], back: impl Fn([f64; 2]) -> [f64; 2]) -> Option<Region> {
+/// * `forward` – maps a position of the region to its target.
+/// * `inverse` – maps a target to its source.
+fn warped(
+    region: &Region,
+    forward: impl Fn([f64; 2]) -> [f64; 2],
+    inverse: impl Fn([f64; 2]) -> [f64; 2],
+) -> Option<Region> {
     let frame @ (width, height) = (region.mask().width(), region.mask().height());
     let Rect { x0, y0, x1, y1 } = region.rect();
-    let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(there);
+    let corners = [[x0, y0], [x1, y0], [x0, y1], [x1, y1]].map(forward);
     let least = |c: usize| corners.iter().map(|p| p[c]).fold(f64::INFINITY, f64::min).floor().max(0.0) as u32;
     let most = |c: usize| corners.iter().map(|p| p[c]).fold(f64::NEG_INFINITY, f64::max).ceil().max(0.0) as u32;
     let bounds = BoundingBox { x0: least(0), y0: least(1), x1: most(0).min(width), y1: most(1).min(height) };
@@ -131,7 +138,7 @@ fn moved(region: &Region, there: impl Fn([f64; 2]) -> [f64; 2], back: impl Fn([f
         return None;
     }
     Region::in_window(frame, bounds, |x, y| {
-        let [u, v] = back([f64::from(x) + 0.5, f64::from(y) + 0.5]);
+        let [u, v] = inverse([f64::from(x) + 0.5, f64::from(y) + 0.5]);
         u >= 0.0 && v >= 0.0 && region.contains(u as u32, v as u32)
     })
 }

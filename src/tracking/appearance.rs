@@ -11,14 +11,14 @@ const NUM_BINS: usize = BINS[0] * BINS[1] * BINS[2];
 /// Minimum number of pixels of a histogram.
 const MIN_PIXELS: usize = 25;
 
-/// Shares of colours, summing to 1.
+/// Color histogram with sum 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Appearance {
     shares: [f32; NUM_BINS],
 }
 
 impl Appearance {
-    /// The colours of a region; `None` if it is too small.
+    /// Histogram of a region; `None` if it is too small.
     pub(super) fn of(image: &RgbImage, region: &Region) -> Option<Self> {
         if region.area() < MIN_PIXELS {
             return None;
@@ -35,7 +35,7 @@ impl Appearance {
         self.shares.iter().zip(&other.shares).map(|(&a, &b)| f64::from((a * b).sqrt())).sum()
     }
 
-    /// Moves towards a newer look by a share of the way.
+    /// Blends in a newer histogram with weight `share`.
     pub(super) fn blend(&mut self, newer: &Self, share: f32) {
         for (old, &new) in self.shares.iter_mut().zip(&newer.shares) {
             *old += share * (new - *old);
@@ -43,7 +43,7 @@ impl Appearance {
     }
 }
 
-/// The bin of a colour. Grey has no hue: below a saturation of one fifth all hues fall into one.
+/// Bin of a color. Gray has no hue: below a saturation of one fifth all hues share a bin.
 fn bin([r, g, b]: [u8; 3]) -> usize {
     let (r, g, b) = (f32::from(r), f32::from(g), f32::from(b));
     let (max, min) = (r.max(g).max(b), r.min(g).min(b));
@@ -69,14 +69,14 @@ mod tests {
     use super::*;
     use crate::scene::Mask;
 
-    fn painted(colour: [u8; 3]) -> Appearance {
-        let image = RgbImage::from_pixel(8, 8, ::image::Rgb(colour));
+    fn painted(color: [u8; 3]) -> Appearance {
+        let image = RgbImage::from_pixel(8, 8, ::image::Rgb(color));
         let region = Region::from_mask(&Mask::from_fn(8, 8, |_, _| true)).unwrap();
         Appearance::of(&image, &region).unwrap()
     }
 
     #[test]
-    fn colours_tell_apart_and_shades_of_one_do_not() {
+    fn different_colors_are_separated_and_shades_of_one_are_not() {
         let red = painted([200, 20, 20]);
         assert!(red.similarity(&painted([205, 25, 18])) > 0.99);
         assert!(red.similarity(&painted([20, 20, 200])) < 0.01);
@@ -84,7 +84,7 @@ mod tests {
     }
 
     #[test]
-    fn every_colour_has_a_bin() {
+    fn every_color_has_a_bin() {
         for r in (0..=255).step_by(15) {
             for g in (0..=255).step_by(15) {
                 for b in (0..=255).step_by(15) {
@@ -95,11 +95,11 @@ mod tests {
     }
 
     #[test]
-    fn blending_moves_part_of_the_way() {
-        let mut look = painted([200, 20, 20]);
+    fn blending_interpolates() {
+        let mut appearance = painted([200, 20, 20]);
         let blue = painted([20, 20, 200]);
-        look.blend(&blue, 0.25);
-        assert!((look.similarity(&blue) - 0.5).abs() < 1e-6);
-        assert!((look.shares.iter().sum::<f32>() - 1.0).abs() < 1e-5);
+        appearance.blend(&blue, 0.25);
+        assert!((appearance.similarity(&blue) - 0.5).abs() < 1e-6);
+        assert!((appearance.shares.iter().sum::<f32>() - 1.0).abs() < 1e-5);
     }
 }

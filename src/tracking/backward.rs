@@ -1,11 +1,11 @@
-//! Objects before they were found: their masks, followed back in time.
+//! Backward tracking of objects from their first masks.
 //!
-//! A detector may see a vehicle late, and a track starts only where somebody asks for a mask. When all frames are
-//! through, the frames are given again, the last one first, and every object is followed from its first mask to earlier
-//! frames: by flow, and by masks asked for in the box of the carried one. Memory is one mask per object.
+//! A detector may find a vehicle late, and a track starts only in a frame with segmentation. After the last frame, the
+//! frames are given again in reverse order. Every object is tracked from its first mask to earlier frames: by flow, and
+//! by masks prompted with the box of the propagated one. Memory is one mask per object.
 //!
-//! An object is followed no further where it leaves the picture or becomes too small, where flow, colours or the new
-//! masks fail, or where another object has its pixels.
+//! The track of an object ends where the object leaves the image or becomes too small, where flow, colors or new masks
+//! fail, or where another object has its pixels.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
@@ -21,33 +21,33 @@ use super::{Correction, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::{BoxSegmenter, PerceptionError};
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
-/// A mask of which more than this share belongs to another object shows that one.
-const MET: f64 = 0.5;
+/// Maximum share of a mask inside another object; above it, the mask shows that object.
+const MAX_FOREIGN_SHARE: f64 = 0.5;
 
-/// Follows objects back in time from their first masks; see the module.
+/// Tracks objects backward in time from their first masks; see the module.
 #[derive(Clone, Debug)]
 pub struct BackwardTracker {
     tracker: Tracker,
-    /// Per object its first frame until now, and what its masks were worth.
+    /// Per object its first frame so far and the mean quality of its masks.
     starts: BTreeMap<ObjectId, (FrameId, f64)>,
     finished: BTreeMap<ObjectId, FrameId>,
 }
 
 impl BackwardTracker {
-    /// For the objects of these summaries, under their lasting ids.
+    /// Creates a tracker of the objects of these summaries, under their final ids.
     pub fn new(options: TrackerOptions, objects: &[TrackSummary]) -> Self {
         let start = |object: &TrackSummary| (object.id, (object.first, object.mask_quality.unwrap_or(1.0)));
         Self { tracker: Tracker::new(options), starts: objects.iter().map(start).collect(), finished: BTreeMap::new() }
     }
 
-    /// Returns true if any object is being followed; otherwise flow and masks need not be computed.
-    pub fn is_following(&self) -> bool {
+    /// Returns true if any object is being tracked; otherwise flow and masks need not be computed.
+    pub fn is_tracking(&self) -> bool {
         !self.tracker.tracks.is_empty()
     }
 
-    /// The places in which flow is of use.
-    pub fn places(&self) -> Vec<Rect> {
-        self.tracker.places()
+    /// Regions in which flow is needed.
+    pub fn flow_regions(&self) -> Vec<Rect> {
+        self.tracker.flow_regions()
     }
 
     /// As [`Tracker::take_corrections`]: masks of frames that were given before, which are later ones.
@@ -55,84 +55,85 @@ impl BackwardTracker {
         self.tracker.take_corrections()
     }
 
-    /// Takes the next earlier frame.
+    /// Processes the next earlier frame.
     ///
-    /// * `known` – the masks that objects have in this frame until now, by lasting id.
-    /// * `prompter` – whom to ask for masks; `None` where they are carried.
+    /// * `known` – masks that objects have in this frame so far, by final id.
+    /// * `segmenter` – is prompted for masks; `None` where they are only propagated.
     /// * `flow` – from the frame given before, which is the later one, to this one.
     ///
-    /// Returns the new masks, ascending by lasting id; they overlap neither one another nor those that are known.
+    /// Returns the new masks, ascending by final id; they overlap neither one another nor the known ones.
     ///
     /// # Errors
     /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if
-    /// the frame is not earlier than the last one; whatever the prompter runs into.
+    /// the frame is not earlier than the last one; errors of the segmenter.
     pub fn advance(
         &mut self,
         frame: &Frame,
         image: &RgbImage,
         known: &[(ObjectId, Mask)],
-        prompter: Option<&mut dyn BoxSegmenter>,
+        segmenter: Option<&mut dyn BoxSegmenter>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
         for (_, mask) in known {
-            self.tracker.same_size("a known mask", frame, image, (mask.width(), mask.height()))?;
+            self.tracker.check_size("a known mask", frame, image, (mask.width(), mask.height()))?;
         }
         let elapsed_s = self.tracker.check(frame, image, flow, Ordering::Less)?;
         let now = Moment { count: 0, frame: frame.id, time_s: frame.time_s };
         let view = FrameView { image, flow, now, elapsed_s };
-        let seen = self.tracker.follow_boxes(&view, Vec::new(), prompter)?;
+        let observations = self.tracker.advance_tracks(&view, Vec::new(), segmenter)?;
         let known: Vec<(ObjectId, Region)> =
             known.iter().filter_map(|(object, mask)| Some((*object, Region::from_mask(mask)?))).collect();
-        let masks = self.cut(&seen, frame.id, &known, image.dimensions());
-        self.end_tracks(&seen, &known, frame.id);
+        let masks = self.without_known(&observations, frame.id, &known, image.dimensions());
+        self.end_tracks(&observations, &known, frame.id);
         self.start(image, &known, now);
         self.tracker.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
-        self.tracker.last_picture = Some(image.clone());
+        self.tracker.last_image = Some(image.clone());
         Ok(masks)
     }
 
-    /// First frame with a reliable mask of each object; drop the masks reported for earlier frames. Objects whose first
-    /// frame never came are omitted.
+    /// First frame with a reliable mask of each object; drop the masks reported for earlier frames.
+    ///
+    /// Objects whose first frame was not given are omitted.
     pub fn finish(mut self) -> BTreeMap<ObjectId, FrameId> {
         self.finished.extend(self.tracker.tracks.iter().map(first_reliable));
         self.finished
     }
 
-    /// The masks of the frame, without the pixels that are known to be others'.
-    fn cut(
+    /// Reports the masks of the frame without the pixels of known masks.
+    fn without_known(
         &mut self,
-        seen: &[TrackObservation],
+        observations: &[TrackObservation],
         frame: FrameId,
         known: &[(ObjectId, Region)],
         size: (u32, u32),
     ) -> Vec<TrackedMask> {
         let is_free = |x: u32, y: u32| known.iter().all(|(_, region)| !region.contains(x, y));
-        let cut = |s: &TrackObservation| {
-            let is_met = is_met(&self.tracker.tracks[s.track_idx], &s.region, known);
-            let region = s.region.filtered(is_free).filter(|_| !is_met)?;
+        let without_known = |s: &TrackObservation| {
+            let belongs_to_other = belongs_to_other(&self.tracker.tracks[s.track_idx], &s.region, known);
+            let region = s.region.filtered(is_free).filter(|_| !belongs_to_other)?;
             Some(TrackObservation { region, ..*s })
         };
-        let cut = seen.iter().filter_map(cut).collect();
-        self.tracker.report(cut, frame, known.to_vec(), size)
+        let without_known = observations.iter().filter_map(without_known).collect();
+        self.tracker.report(without_known, frame, known.to_vec(), size)
     }
 
-    /// Ends the tracks that were not seen, and those whose place is another's.
-    fn end_tracks(&mut self, seen: &[TrackObservation], known: &[(ObjectId, Region)], frame: FrameId) {
+    /// Ends the tracks without an observation, and those whose region belongs to another object.
+    fn end_tracks(&mut self, observations: &[TrackObservation], known: &[(ObjectId, Region)], frame: FrameId) {
         let tracks = std::mem::take(&mut self.tracker.tracks);
         for (track_idx, track) in tracks.into_iter().enumerate() {
-            let region = seen.iter().find(|s| s.track_idx == track_idx).map(|s| &s.region);
-            let is_met = is_met(&track, region.unwrap_or(&track.region), known);
+            let region = observations.iter().find(|s| s.track_idx == track_idx).map(|s| &s.region);
+            let belongs_to_other = belongs_to_other(&track, region.unwrap_or(&track.region), known);
             let (object, first) = first_reliable(&track);
             match self.tracker.last_frame {
-                _ if !is_met && region.is_some() => self.tracker.tracks.push(track),
-                // The mask of this frame is the other object's.
-                Some((later, ..)) if is_met && first == frame => self.finished.extend([(object, later)]),
+                _ if !belongs_to_other && region.is_some() => self.tracker.tracks.push(track),
+                // The mask of this frame belongs to the other object.
+                Some((later, ..)) if belongs_to_other && first == frame => self.finished.extend([(object, later)]),
                 _ => self.finished.extend([(object, first)]),
             }
         }
     }
 
-    /// Begins with the objects whose first mask this frame has.
+    /// Starts tracks of the objects whose first mask is in this frame.
     fn start(&mut self, image: &RgbImage, known: &[(ObjectId, Region)], now: Moment) {
         for (object, region) in known {
             let Some(&(first, quality)) = self.starts.get(object) else { continue };
@@ -149,6 +150,6 @@ fn first_reliable(track: &Track) -> (ObjectId, FrameId) {
 }
 
 /// Returns true if most of a region belongs to one other object.
-fn is_met(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> bool {
-    known.iter().any(|(object, other)| *object != track.provisional && region.covered_by(other) > MET)
+fn belongs_to_other(track: &Track, region: &Region, known: &[(ObjectId, Region)]) -> bool {
+    known.iter().any(|(object, other)| *object != track.provisional && region.covered_by(other) > MAX_FOREIGN_SHARE)
 }

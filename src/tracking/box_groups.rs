@@ -1,41 +1,41 @@
-//! Boxes of one frame that mean one object.
+//! Grouping of the boxes of one frame that show one object.
 
 use super::{DetectedBox, TrackerOptions};
 use crate::scene::{BoxDetection, DetectionSource, Rect};
 
-/// Two boxes of a detector that overlap by more than this (intersection over union) mean one object.
+/// Overlap (intersection over union) above which two detector boxes show one object.
 const SAME_OBJECT: f64 = 0.55;
-/// A box of motion and a box of a detector that overlap by more than this mean one object: motion finds the part of a
-/// vehicle that has texture, or the vehicle with its shadow.
+/// Overlap above which a motion box and a detector box show one object: motion detection finds the textured part of a
+/// vehicle, or the vehicle with its shadow.
 const SAME_MOVER: f64 = 0.35;
-/// A box or a mask lies in another from this share of its area on.
+/// Share of its area from which a box or a mask counts as inside another.
 pub(super) const INSIDE: f64 = 0.7;
-/// A box waits for a mask for at most so many frames.
-const MAX_WAITING_FRAMES: usize = 40;
+/// Maximum number of frames for which a box is pending.
+const MAX_PENDING_FRAMES: usize = 40;
 
-/// Source of an object's detection in one frame.
+/// Detection of an object in one frame by the detector, by motion, or by both.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Finding {
-    /// The detector's class; `vehicle` where motion alone found it.
+pub(super) struct FrameDetection {
+    /// Class of the detector; `vehicle` where only motion detection found the object.
     pub(super) class: String,
-    /// The detector's confidence, if it found it.
+    /// Confidence of the detector, if it found the object.
     pub(super) detector: Option<f64>,
-    /// Motion's confidence, if it found it.
+    /// Confidence of motion detection, if it found the object.
     pub(super) motion: Option<f64>,
     /// True if the points in the box show that it is stationary.
-    pub(super) stands: bool,
+    pub(super) is_stationary: bool,
 }
 
-impl Finding {
-    fn of(DetectedBox { found, stands }: DetectedBox) -> Self {
+impl FrameDetection {
+    fn of(DetectedBox { found, is_stationary }: DetectedBox) -> Self {
         let (detector, motion) = match found.finder {
             DetectionSource::Detector => (Some(found.confidence), None),
             DetectionSource::Motion => (None, Some(found.confidence)),
         };
-        Self { class: found.class, detector, motion, stands }
+        Self { class: found.class, detector, motion, is_stationary }
     }
 
-    /// The confidence of whatever is surer.
+    /// Maximum of both confidences.
     pub(super) fn confidence(&self) -> f64 {
         self.detector.unwrap_or(0.0).max(self.motion.unwrap_or(0.0))
     }
@@ -45,141 +45,142 @@ impl Finding {
     }
 }
 
-/// One object that boxes show.
+/// Boxes that show one object.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct BoxGroup {
     pub(super) rect: Rect,
-    /// Source of its detection in this frame; `None` if it waits since an earlier one.
-    pub(super) now: Option<Finding>,
-    /// Sources of its detections in earlier frames without segmentation.
-    pub(super) earlier: Vec<Finding>,
-    /// Frames for which it waits.
+    /// Detection in this frame; `None` if the group is pending since an earlier one.
+    pub(super) current: Option<FrameDetection>,
+    /// Detections in earlier frames without segmentation.
+    pub(super) earlier: Vec<FrameDetection>,
+    /// Number of frames for which it has been pending.
     age: usize,
 }
 
 impl BoxGroup {
-    fn new(rect: Rect, finding: Finding) -> Self {
-        Self { rect, now: Some(finding), earlier: Vec::new(), age: 0 }
+    fn new(rect: Rect, detection: FrameDetection) -> Self {
+        Self { rect, current: Some(detection), earlier: Vec::new(), age: 0 }
     }
 
-    /// The same object at another place.
+    /// The same group at another position.
     pub(super) fn at(&self, rect: Rect) -> Self {
         Self { rect, ..self.clone() }
     }
 
-    /// The highest confidence of all that found it.
+    /// Maximum confidence of its detections.
     pub(super) fn confidence(&self) -> f64 {
-        self.findings().map(Finding::confidence).fold(0.0, f64::max)
+        self.detections().map(FrameDetection::confidence).fold(0.0, f64::max)
     }
 
-    /// All that found it, the latest first.
-    pub(super) fn findings(&self) -> impl Iterator<Item = &Finding> {
-        self.now.iter().chain(&self.earlier)
+    /// Its detections, the latest first.
+    pub(super) fn detections(&self) -> impl Iterator<Item = &FrameDetection> {
+        self.current.iter().chain(&self.earlier)
     }
 
-    /// Returns true if the points in any of its boxes show that it is stationary; a detection by motion is not.
-    pub(super) fn stands(&self) -> bool {
-        self.findings().any(|finding| finding.stands) && self.findings().all(|finding| finding.motion.is_none())
+    /// Returns true if points in any of its boxes show that it is stationary, and motion detection never found it.
+    pub(super) fn is_stationary(&self) -> bool {
+        self.detections().any(|detection| detection.is_stationary)
+            && self.detections().all(|detection| detection.motion.is_none())
     }
 
-    /// The class of the surest finding of a detector; `None` where only motion found it.
+    /// Class of its most confident detector box; `None` where only motion detection found it.
     pub(super) fn class(&self) -> Option<&str> {
-        let named = self.findings().filter_map(|f| Some((f.detector?, f.class.as_str())));
+        let named = self.detections().filter_map(|f| Some((f.detector?, f.class.as_str())));
         named.max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, class)| class)
     }
 }
 
-/// The objects that the boxes of a frame show, each once.
+/// Groups the boxes of a frame by object.
 ///
-/// * `followed` – boxes of objects that are followed: a box of motion that covers several of them, or several boxes of
-///   the detector, speaks for each, and is none of its own.
+/// * `tracked` – boxes of tracked objects. A motion box that covers several of them, or several detector boxes, counts
+///   for each and forms no group of its own.
 pub(super) fn merge(
     found: Vec<DetectedBox>,
-    followed: &[Rect],
+    tracked: &[Rect],
     options: &TrackerOptions,
     size: (u32, u32),
 ) -> Vec<BoxGroup> {
-    let usable = |DetectedBox { found, stands }: DetectedBox| {
+    let usable = |DetectedBox { found, is_stationary }: DetectedBox| {
         let Rect { x0, y0, x1, y1 } = found.rect;
         let is_number = [x0, y0, x1, y1, found.confidence].iter().all(|v| v.is_finite());
         let rect = found.rect.clipped(size.0, size.1);
         let counts = found.finder == DetectionSource::Motion || options.track_classes.contains(&found.class);
         let found = BoxDetection { rect, ..found };
-        (counts && is_number && rect.area_px2() >= 1.0).then_some(DetectedBox { found, stands })
+        (counts && is_number && rect.area_px2() >= 1.0).then_some(DetectedBox { found, is_stationary })
     };
     let mut found: Vec<DetectedBox> = found.into_iter().filter_map(usable).collect();
     found.sort_by(|DetectedBox { found: a, .. }, DetectedBox { found: b, .. }| {
         a.finder.cmp(&b.finder).then(b.confidence.total_cmp(&a.confidence))
     });
-    let mut sights: Vec<BoxGroup> = Vec::new();
+    let mut groups: Vec<BoxGroup> = Vec::new();
     for found in found {
         match found.found.finder {
-            DetectionSource::Detector => add_detected(&mut sights, found),
-            DetectionSource::Motion => add_moving(&mut sights, found, followed),
+            DetectionSource::Detector => add_detected(&mut groups, found),
+            DetectionSource::Motion => add_moving(&mut groups, found, tracked),
         }
     }
-    sights
+    groups
 }
 
-fn add_detected(sights: &mut Vec<BoxGroup>, found: DetectedBox) {
+fn add_detected(groups: &mut Vec<BoxGroup>, found: DetectedBox) {
     let rect = found.found.rect;
-    if sights.iter().all(|sight| sight.rect.iou(&rect) <= SAME_OBJECT) {
-        sights.push(BoxGroup::new(rect, Finding::of(found)));
+    if groups.iter().all(|group| group.rect.iou(&rect) <= SAME_OBJECT) {
+        groups.push(BoxGroup::new(rect, FrameDetection::of(found)));
     }
 }
 
-fn add_moving(sights: &mut Vec<BoxGroup>, found: DetectedBox, followed: &[Rect]) {
+fn add_moving(groups: &mut Vec<BoxGroup>, found: DetectedBox, tracked: &[Rect]) {
     let (rect, confidence) = (found.found.rect, found.found.confidence);
-    let overlap = |sight: &BoxGroup| sight.rect.iou(&rect).max(inside(&rect, &sight.rect) - INSIDE);
-    let best = (0..sights.len()).max_by(|&a, &b| overlap(&sights[a]).total_cmp(&overlap(&sights[b])).then(b.cmp(&a)));
+    let overlap = |group: &BoxGroup| group.rect.iou(&rect).max(inside(&rect, &group.rect) - INSIDE);
+    let best = (0..groups.len()).max_by(|&a, &b| overlap(&groups[a]).total_cmp(&overlap(&groups[b])).then(b.cmp(&a)));
     let is_covered = |other: &Rect| inside(other, &rect) > INSIDE && other.iou(&rect) < SAME_OBJECT;
-    let seen: Vec<Rect> = sights.iter().map(|sight| sight.rect).collect();
-    let unseen = |rect: &&Rect| seen.iter().all(|s| s.iou(rect) < SAME_MOVER && inside(s, rect) < INSIDE);
-    let alone: Vec<Rect> = followed.iter().filter(unseen).copied().filter(is_covered).collect();
-    let covered: Vec<usize> = (0..sights.len()).filter(|&s| is_covered(&seen[s])).collect();
-    if covered.len() + alone.len() > 1 {
-        for sight in covered {
-            if let Some(finding) = &mut sights[sight].now {
-                finding.add_motion(confidence);
+    let group_rects: Vec<Rect> = groups.iter().map(|group| group.rect).collect();
+    let is_ungrouped = |rect: &&Rect| group_rects.iter().all(|s| s.iou(rect) < SAME_MOVER && inside(s, rect) < INSIDE);
+    let ungrouped: Vec<Rect> = tracked.iter().filter(is_ungrouped).copied().filter(is_covered).collect();
+    let covered: Vec<usize> = (0..groups.len()).filter(|&s| is_covered(&group_rects[s])).collect();
+    if covered.len() + ungrouped.len() > 1 {
+        for group in covered {
+            if let Some(detection) = &mut groups[group].current {
+                detection.add_motion(confidence);
             }
         }
-        sights.extend(alone.into_iter().map(|rect| BoxGroup::new(rect, Finding::of(found.clone()))));
+        groups.extend(ungrouped.into_iter().map(|rect| BoxGroup::new(rect, FrameDetection::of(found.clone()))));
         return;
     }
-    let same = |s: &usize| sights[*s].rect.iou(&rect) > SAME_MOVER || inside(&rect, &seen[*s]) > INSIDE;
-    match best.filter(same).and_then(|s| sights[s].now.as_mut()) {
-        Some(finding) => finding.add_motion(confidence),
-        None => sights.push(BoxGroup::new(rect, Finding::of(found))),
+    let same = |s: &usize| groups[*s].rect.iou(&rect) > SAME_MOVER || inside(&rect, &group_rects[*s]) > INSIDE;
+    match best.filter(same).and_then(|s| groups[s].current.as_mut()) {
+        Some(detection) => detection.add_motion(confidence),
+        None => groups.push(BoxGroup::new(rect, FrameDetection::of(found))),
     }
 }
 
-/// Share of a box that lies in another.
+/// Share of a box that is inside another.
 pub(super) fn inside(inner: &Rect, outer: &Rect) -> f64 {
     inner.intersection(outer).area_px2() / inner.area_px2().max(f64::MIN_POSITIVE)
 }
 
-/// Lets boxes wait that no followed object explains, until a frame in which masks are asked for.
+/// Keeps unassociated boxes pending until the next frame with segmentation.
 ///
-/// * `waiting` – those of earlier frames, at their places in this one.
-/// * `left` – those of this frame.
-pub(super) fn wait(waiting: Vec<BoxGroup>, left: Vec<BoxGroup>) -> Vec<BoxGroup> {
-    let mut all = join(waiting, left);
-    for sight in &mut all {
-        if let Some(finding) = sight.now.take() {
-            sight.earlier.insert(0, finding);
+/// * `pending` – groups of earlier frames, propagated to this one.
+/// * `unassociated` – groups of this frame.
+pub(super) fn postpone(pending: Vec<BoxGroup>, unassociated: Vec<BoxGroup>) -> Vec<BoxGroup> {
+    let mut all = merge_pending(pending, unassociated);
+    for group in &mut all {
+        if let Some(detection) = group.current.take() {
+            group.earlier.insert(0, detection);
         }
-        sight.earlier.truncate(MAX_WAITING_FRAMES);
-        sight.age += 1;
+        group.earlier.truncate(MAX_PENDING_FRAMES);
+        group.age += 1;
     }
-    all.retain(|sight| sight.age <= MAX_WAITING_FRAMES);
+    all.retain(|group| group.age <= MAX_PENDING_FRAMES);
     all
 }
 
-/// The boxes of a frame with those that wait; what is found again has waited no longer.
-pub(super) fn join(waiting: Vec<BoxGroup>, mut found: Vec<BoxGroup>) -> Vec<BoxGroup> {
-    for old in waiting {
-        match found.iter_mut().find(|sight| sight.rect.iou(&old.rect) > SAME_MOVER) {
-            Some(sight) => sight.earlier.extend(old.earlier),
+/// Merges pending groups into those of a frame; a group that is detected again is no longer pending.
+pub(super) fn merge_pending(pending: Vec<BoxGroup>, mut found: Vec<BoxGroup>) -> Vec<BoxGroup> {
+    for old in pending {
+        match found.iter_mut().find(|group| group.rect.iou(&old.rect) > SAME_MOVER) {
+            Some(group) => group.earlier.extend(old.earlier),
             None => found.push(old),
         }
     }
@@ -201,42 +202,42 @@ mod tests {
         BoxDetection { class: class.into(), confidence, rect, finder }
     }
 
-    fn merged(found: Vec<BoxDetection>, followed: &[Rect]) -> Vec<BoxGroup> {
-        merge(found.into_iter().map(DetectedBox::from).collect(), followed, &TrackerOptions::default(), SIZE)
+    fn merged(found: Vec<BoxDetection>, tracked: &[Rect]) -> Vec<BoxGroup> {
+        merge(found.into_iter().map(DetectedBox::from).collect(), tracked, &TrackerOptions::default(), SIZE)
     }
 
     #[test]
     fn detector_and_motion_that_overlap_are_one() {
         let car = rect(20.0, 20.0, 40.0, 20.0);
-        let sights = merged(
+        let groups = merged(
             vec![
                 found(DetectionSource::Motion, rect(25.0, 22.0, 30.0, 16.0), 0.7),
                 found(DetectionSource::Detector, car, 0.5),
             ],
             &[],
         );
-        let [sight] = &sights[..] else { panic!("one object: {sights:?}") };
-        assert_eq!((sight.rect, sight.class(), sight.confidence()), (car, Some("car"), 0.7));
-        assert_eq!(sight.now.as_ref().map(|f| (f.detector, f.motion)), Some((Some(0.5), Some(0.7))));
+        let [group] = &groups[..] else { panic!("one object: {groups:?}") };
+        assert_eq!((group.rect, group.class(), group.confidence()), (car, Some("car"), 0.7));
+        assert_eq!(group.current.as_ref().map(|f| (f.detector, f.motion)), Some((Some(0.5), Some(0.7))));
     }
 
     #[test]
-    fn motion_over_two_cars_speaks_for_both() {
+    fn motion_box_over_two_cars_counts_for_both() {
         let (a, b) = (rect(20.0, 20.0, 30.0, 20.0), rect(60.0, 20.0, 30.0, 20.0));
         let both = found(DetectionSource::Motion, rect(18.0, 18.0, 74.0, 24.0), 0.8);
-        let sights = merged(
+        let groups = merged(
             vec![found(DetectionSource::Detector, a, 0.5), found(DetectionSource::Detector, b, 0.6), both.clone()],
             &[],
         );
-        assert_eq!(sights.len(), 2);
-        assert!(sights.iter().all(|s| s.now.as_ref().is_some_and(|f| f.motion == Some(0.8))));
-        // The same where the detector is blind, but the cars are followed.
-        let sights = merged(vec![both], &[a, b]);
-        assert_eq!(sights.iter().map(|s| s.rect).collect::<Vec<_>>(), [a, b]);
+        assert_eq!(groups.len(), 2);
+        assert!(groups.iter().all(|s| s.current.as_ref().is_some_and(|f| f.motion == Some(0.8))));
+        // The same without a detection, if the cars are tracked.
+        let groups = merged(vec![both], &[a, b]);
+        assert_eq!(groups.iter().map(|s| s.rect).collect::<Vec<_>>(), [a, b]);
     }
 
     #[test]
-    fn a_detected_object_is_reported_once_and_others_not_at_all() {
+    fn duplicate_and_invalid_boxes_are_dropped() {
         let car = rect(20.0, 20.0, 40.0, 20.0);
         let truck = BoxDetection {
             class: "truck".into(),
@@ -248,17 +249,17 @@ mod tests {
         };
         let broken = found(DetectionSource::Detector, Rect { x0: f64::NAN, ..car }, 0.9);
         let outside = found(DetectionSource::Motion, rect(300.0, 20.0, 40.0, 20.0), 0.9);
-        let sights = merged(vec![found(DetectionSource::Detector, car, 0.5), truck, person, broken, outside], &[]);
-        assert_eq!(sights.iter().map(BoxGroup::class).collect::<Vec<_>>(), [Some("truck")]);
+        let groups = merged(vec![found(DetectionSource::Detector, car, 0.5), truck, person, broken, outside], &[]);
+        assert_eq!(groups.iter().map(BoxGroup::class).collect::<Vec<_>>(), [Some("truck")]);
     }
 
     #[test]
-    fn a_box_waits_for_a_while_and_remembers_what_found_it() {
+    fn pending_box_keeps_its_detections_and_expires() {
         let car = rect(20.0, 20.0, 40.0, 20.0);
-        let sights = |confidence| merged(vec![found(DetectionSource::Detector, car, confidence)], &[]);
-        let waiting = wait(wait(Vec::new(), sights(0.4)), sights(0.6));
-        assert_eq!((waiting.len(), waiting[0].earlier.len(), waiting[0].confidence()), (1, 2, 0.6));
-        let forgotten = (0..=MAX_WAITING_FRAMES).fold(waiting, |waiting, _| wait(waiting, Vec::new()));
-        assert_eq!(forgotten, []);
+        let groups = |confidence| merged(vec![found(DetectionSource::Detector, car, confidence)], &[]);
+        let pending = postpone(postpone(Vec::new(), groups(0.4)), groups(0.6));
+        assert_eq!((pending.len(), pending[0].earlier.len(), pending[0].confidence()), (1, 2, 0.6));
+        let expired = (0..=MAX_PENDING_FRAMES).fold(pending, |pending, _| postpone(pending, Vec::new()));
+        assert_eq!(expired, []);
     }
 }

@@ -1,4 +1,4 @@
-//! Tests of objects with known boxes, and masks in some frames only.
+//! Tracking tests with boxes in all frames and masks in some.
 
 use super::world::{HEIGHT, Thing, WIDTH, World, found_boxes};
 use super::*;
@@ -12,23 +12,24 @@ fn honest(_: usize, answer: BoxMask) -> Option<BoxMask> {
     Some(answer)
 }
 
-/// A car that crosses the picture in 40 frames.
+/// A car that crosses the image in 40 frames.
 fn one_car() -> World {
     World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30))])
 }
 
-/// Frames in which the object's own mask, between its first and last frame, overlaps a thing by more than 0.7.
+/// Number of frames in which the object's own mask, between its first and last frame, overlaps a thing by more than
+/// 0.7.
 fn followed(world: &World, frames: &[Vec<TrackedMask>], track: &TrackSummary, thing: usize) -> usize {
     let life = track.first.0 as usize..=track.last.0 as usize;
-    let is_there = |t: &usize| {
+    let is_tracked = |t: &usize| {
         let truth = world.mask(*t, thing);
         frames[*t].iter().any(|m| m.object == track.provisional && m.mask.iou(&truth) > 0.7)
     };
-    life.filter(is_there).count()
+    life.filter(is_tracked).count()
 }
 
 #[test]
-fn a_car_is_followed_whatever_the_distance_of_key_frames() {
+fn a_car_is_tracked_at_any_segmentation_interval() {
     let world = one_car();
     for every in [1, 5, 10] {
         let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
@@ -41,22 +42,22 @@ fn a_car_is_followed_whatever_the_distance_of_key_frames() {
 }
 
 #[test]
-fn frames_between_two_looks_of_the_detector_are_not_missed() {
+fn frames_without_the_detector_do_not_count_as_missed() {
     let world = one_car();
     for every in [5, 10, 20] {
         let mut tracker = Tracker::new(TrackerOptions { min_detections: 2, ..TrackerOptions::default() });
         for t in 0..40 {
             let flow = (t > 0).then(|| world.flow(t));
-            let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
-            let look = match t % every {
+            let mut segmenter = world::WorldSegmenter { world: &world, t, num_prompts: 0, spoil: &honest };
+            let input = match t % every {
                 0 => FrameInput {
                     found: found_boxes(world.boxes(t, DetectionSource::Detector)),
                     by: BoxSource::Detector,
-                    prompter: Some(&mut prompter),
+                    segmenter: Some(&mut segmenter),
                 },
-                _ => FrameInput { found: Vec::new(), by: BoxSource::Motion, prompter: None },
+                _ => FrameInput { found: Vec::new(), by: BoxSource::Motion, segmenter: None },
             };
-            let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+            let masks = tracker.advance(&World::frame(t), &world.image(t), input, flow.as_ref()).unwrap();
             assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}, every {every}");
         }
         let tracks = tracker.finish();
@@ -66,7 +67,7 @@ fn frames_between_two_looks_of_the_detector_are_not_missed() {
 }
 
 #[test]
-fn a_car_in_which_flow_fails_goes_with_its_boxes() {
+fn a_car_without_usable_flow_is_propagated_with_its_boxes() {
     let world = one_car();
     let mut tracker = Tracker::new(TrackerOptions::default());
     for t in 0..40 {
@@ -76,13 +77,13 @@ fn a_car_in_which_flow_fails_goes_with_its_boxes() {
             flow.consistent.iter_mut().enumerate().filter(|(at, _)| is_of_it(*at)).for_each(|(_, c)| *c = false);
             flow
         });
-        // A box of motion holds a shadow, too.
+        // A motion box contains a shadow, too.
         let mut found = world.boxes(t, DetectionSource::Motion);
         found.iter_mut().for_each(|found| found.rect.x0 -= 6.0);
-        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
-        let prompter = t.is_multiple_of(10).then_some(&mut prompter as &mut dyn BoxSegmenter);
-        let look = FrameInput { found: found_boxes(found), by: BoxSource::Motion, prompter };
-        let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        let mut segmenter = world::WorldSegmenter { world: &world, t, num_prompts: 0, spoil: &honest };
+        let segmenter = t.is_multiple_of(10).then_some(&mut segmenter as &mut dyn BoxSegmenter);
+        let input = FrameInput { found: found_boxes(found), by: BoxSource::Motion, segmenter };
+        let masks = tracker.advance(&World::frame(t), &world.image(t), input, flow.as_ref()).unwrap();
         assert!(masks.len() == 1 && masks[0].mask.iou(&world.mask(t, 0)) > 0.9, "frame {t}");
     }
     let [track] = &tracker.finish()[..] else { panic!("one track") };
@@ -90,7 +91,7 @@ fn a_car_in_which_flow_fails_goes_with_its_boxes() {
 }
 
 #[test]
-fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
+fn a_new_mask_corrects_the_frames_nearer_to_it_than_to_the_last_one() {
     let world = one_car();
     // The first mask lacks a quarter of the car.
     let narrow = |t: usize, answer: BoxMask| {
@@ -102,14 +103,14 @@ fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
     let mut corrected = Vec::new();
     for t in 0..=8 {
         let flow = (t > 0).then(|| world.flow(t));
-        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &narrow };
-        let prompter = t.is_multiple_of(8).then_some(&mut prompter as &mut dyn BoxSegmenter);
-        let look = FrameInput {
+        let mut segmenter = world::WorldSegmenter { world: &world, t, num_prompts: 0, spoil: &narrow };
+        let segmenter = t.is_multiple_of(8).then_some(&mut segmenter as &mut dyn BoxSegmenter);
+        let input = FrameInput {
             found: found_boxes(world.boxes(t, DetectionSource::Detector)),
             by: BoxSource::Detector,
-            prompter,
+            segmenter,
         };
-        let masks = tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        let masks = tracker.advance(&World::frame(t), &world.image(t), input, flow.as_ref()).unwrap();
         assert_eq!(masks[0].mask.iou(&world.mask(t, 0)) > 0.9, t == 8, "frame {t}");
         corrected.extend(tracker.take_corrections());
     }
@@ -118,9 +119,9 @@ fn a_new_mask_corrects_the_frames_that_are_nearer_to_it_than_to_the_last_one() {
 }
 
 #[test]
-fn a_car_on_a_patch_of_road_that_was_taken_for_a_vehicle_is_an_object_of_its_own() {
+fn a_car_on_a_falsely_detected_patch_of_road_is_a_separate_object() {
     // The detector takes the road for a car until the car appears on it, in colors like those of the road.
-    let road = Thing { at: Box::new(|_| (20, 10)), size: (100, 60), colour: [120, 120, 120], class: Some("car") };
+    let road = Thing { at: Box::new(|_| (20, 10)), size: (100, 60), color: [120, 120, 120], class: Some("car") };
     let car = Thing { size: (44, 36), ..Thing::car([120, 120, 120], |t| (if t < 12 { 300 } else { 46 }, 22)) };
     let world = World::still(vec![road, car]);
     let boxes = |t: usize| {
@@ -130,62 +131,62 @@ fn a_car_on_a_patch_of_road_that_was_taken_for_a_vehicle_is_an_object_of_its_own
     let network = |t: usize, answer: BoxMask| Some(answer).filter(|answer| t < 12 || answer.mask.area_px2() < 2000);
     let (frames, tracks) = world.track_boxes(40, 1, boxes, &network);
     let car = tracks.iter().find(|track| track.last == FrameId(39)).unwrap();
-    // The mask of the road is carried for three frames.
+    // The mask of the road is propagated for three frames.
     assert_eq!((car.first, followed(&world, &frames, car, 1)), (FrameId(15), 25), "{tracks:#?}");
 }
 
 #[test]
-fn a_detector_that_looks_now_and_then_is_judged_by_its_looks() {
+fn detection_rates_count_only_frames_with_the_detector() {
     let world = one_car();
     let mut tracker = Tracker::new(TrackerOptions::default());
     for t in 0..40 {
         let flow = (t > 0).then(|| world.flow(t));
-        let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
-        let prompter = t.is_multiple_of(4).then_some(&mut prompter as &mut dyn BoxSegmenter);
-        let look = match t % 2 {
+        let mut segmenter = world::WorldSegmenter { world: &world, t, num_prompts: 0, spoil: &honest };
+        let segmenter = t.is_multiple_of(4).then_some(&mut segmenter as &mut dyn BoxSegmenter);
+        let input = match t % 2 {
             0 => FrameInput {
                 found: found_boxes(world.boxes(t, DetectionSource::Detector)),
                 by: BoxSource::Detector,
-                prompter,
+                segmenter,
             },
-            _ => FrameInput { found: Vec::new(), by: BoxSource::Motion, prompter },
+            _ => FrameInput { found: Vec::new(), by: BoxSource::Motion, segmenter },
         };
-        tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+        tracker.advance(&World::frame(t), &world.image(t), input, flow.as_ref()).unwrap();
     }
     let [track] = &tracker.finish()[..] else { panic!("one track") };
     assert_eq!((track.num_looks, track.num_detector_looks, track.found.detector), (40, 20, 20));
 }
 
 #[test]
-fn what_stands_is_asked_about_less_often_until_it_drives_or_is_hidden() {
-    let asked_of = |world: &World| {
-        let asked = std::cell::RefCell::new(std::collections::BTreeSet::new());
+fn a_stationary_object_is_prompted_less_often_until_it_moves_or_is_occluded() {
+    let prompted_frames = |world: &World| {
+        let prompted = std::cell::RefCell::new(std::collections::BTreeSet::new());
         let note = |t: usize, answer: BoxMask| {
-            asked.borrow_mut().insert(t);
+            prompted.borrow_mut().insert(t);
             Some(answer)
         };
         let (frames, tracks) = world.track_boxes(64, 4, |t| world.boxes(t, DetectionSource::Detector), &note);
         assert_eq!(tracks.len(), 1, "{tracks:#?}");
-        (asked.take().into_iter().collect::<Vec<_>>(), followed(world, &frames, &tracks[0], 0))
+        (prompted.take().into_iter().collect::<Vec<_>>(), followed(world, &frames, &tracks[0], 0))
     };
     // It moves with the background until it drives off.
-    let stands = |t: usize| 20 + t as i64 + 4 * t.saturating_sub(40) as i64;
-    let world = World { things: vec![Thing::car(RED, move |t| (stands(t), 30))], pan: (1, 0) };
-    assert_eq!(asked_of(&world), (vec![0, 4, 16, 28, 40, 44, 48, 52, 56, 60], 64));
-    // A pole comes before a part of it.
+    let left = |t: usize| 20 + t as i64 + 4 * t.saturating_sub(40) as i64;
+    let world = World { things: vec![Thing::car(RED, move |t| (left(t), 30))], pan: (1, 0) };
+    assert_eq!(prompted_frames(&world), (vec![0, 4, 16, 28, 40, 44, 48, 52, 56, 60], 64));
+    // A pole occludes a part of it.
     let pole = Thing { at: Box::new(|t| (180 - 2 * t as i64, 0)), ..Thing::wall(0, 5) };
     let world = World { things: vec![Thing::car(RED, |_| (90, 30)), pole], pan: (0, 0) };
     let before: Vec<usize> = (0..64).step_by(4).filter(|t| world.mask(*t, 0) != world.mask(0, 0)).collect();
-    let (asked, num_followed) = asked_of(&world);
+    let (prompted, num_followed) = prompted_frames(&world);
     assert!(num_followed >= 58, "{num_followed}");
-    assert!(asked.len() < 14 && before.iter().all(|t| asked.contains(t)), "{asked:?}, hidden at {before:?}");
+    assert!(prompted.len() < 14 && before.iter().all(|t| prompted.contains(t)), "{prompted:?}, occluded at {before:?}");
 }
 
 #[test]
-fn a_detector_that_answers_in_one_frame_of_ten_suffices() {
+fn detections_in_one_frame_of_ten_suffice() {
     let world = one_car();
     for every in [1, 5, 10] {
-        // Never in a frame in which masks are asked for, but where they are in all.
+        // Never in a frame with segmentation, unless all frames have it.
         let sometimes = |t: usize| if t % 10 == 3 { world.boxes(t, DetectionSource::Detector) } else { Vec::new() };
         let (frames, tracks) = world.track_boxes(40, every, sometimes, &honest);
         let [track] = &tracks[..] else { panic!("one track, every {every}: {tracks:#?}") };
@@ -196,7 +197,7 @@ fn a_detector_that_answers_in_one_frame_of_ten_suffices() {
 }
 
 #[test]
-fn motion_finds_what_has_no_class_and_the_detector_names_it() {
+fn motion_detects_an_object_and_the_detector_classifies_it() {
     let world = one_car();
     let both = |t: usize| {
         let mut found = world.boxes(t, DetectionSource::Motion);
@@ -214,7 +215,7 @@ fn motion_finds_what_has_no_class_and_the_detector_names_it() {
 }
 
 #[test]
-fn crossing_cars_of_one_colour_keep_their_ids() {
+fn crossing_cars_of_one_color_keep_their_ids() {
     for every in [1, 3, 5] {
         let world = World::still(vec![
             Thing::car(RED, |t| (5 + 4 * t as i64, 30)),
@@ -233,10 +234,10 @@ fn crossing_cars_of_one_colour_keep_their_ids() {
 }
 
 #[test]
-fn a_part_of_a_vehicle_grows_to_the_whole_with_what_moves_like_it() {
+fn a_part_of_a_vehicle_grows_to_the_whole_that_moves_like_it() {
     let size = (60, 40);
     let lorry = || Thing { size, class: Some("truck"), ..Thing::car(BLUE, |t| (10 + 3 * t as i64, 20)) };
-    // Until frame 8 motion sees a corner of the lorry alone.
+    // Until frame 8 motion detection finds a corner of the lorry alone.
     let part =
         |t: usize, rect: Rect| if t < 8 { Rect { x1: rect.x0 + 24.0, y1: rect.y0 + 14.0, ..rect } } else { rect };
     let lorry_alone = World::still(vec![lorry()]);
@@ -272,16 +273,16 @@ fn one_car_overtakes_the_other() {
         let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         assert_eq!(tracks.len(), 2, "every {every}: {tracks:#?}");
         for track in &tracks {
-            let of_each: Vec<usize> = (0..2).map(|thing| followed(&world, &frames, track, thing)).collect();
-            assert!(of_each.contains(&0) && of_each.iter().any(|n| *n > 25), "every {every}: {of_each:?}");
+            let per_thing: Vec<usize> = (0..2).map(|thing| followed(&world, &frames, track, thing)).collect();
+            assert!(per_thing.contains(&0) && per_thing.iter().any(|n| *n > 25), "every {every}: {per_thing:?}");
         }
     }
 }
 
 #[test]
-fn a_car_that_passes_a_parked_one_takes_nothing_of_it_along() {
+fn a_car_that_passes_a_parked_one_takes_none_of_its_pixels() {
     let world = World::still(vec![Thing::car(RED, |_| (80, 40)), Thing::car(RED, |t| (5 + 4 * t as i64, 54))]);
-    // Side by side a network answers with a part of the other one, too.
+    // Where the cars are side by side, the network includes a part of the other one.
     let and_more = |t: usize, answer: BoxMask| {
         let is_next_to_it = (60..=100).contains(&(5 + 4 * t));
         let is_of_either = |x: u32, y: u32| (0..2).any(|thing| world.mask(t, thing).get(x.into(), y.into()));
@@ -301,11 +302,11 @@ fn a_car_that_passes_a_parked_one_takes_nothing_of_it_along() {
 }
 
 #[test]
-fn a_car_behind_a_pole_stays_itself() {
+fn a_car_behind_a_pole_keeps_its_identity() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(80, 8)]);
         let (frames, tracks) = world.track_boxes(40, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
-        // Where masks are asked for in every fifth frame only, what comes up behind the pole may be a second piece.
+        // With segmentation in every fifth frame, the car after the pole may be a second piece.
         let is_linked =
             |track: &TrackSummary| track.after.is_some_and(|after| after.provisional == tracks[0].provisional);
         assert!(tracks.len() <= if every == 1 { 1 } else { 2 }, "every {every}: {tracks:#?}");
@@ -316,34 +317,34 @@ fn a_car_behind_a_pole_stays_itself() {
 }
 
 #[test]
-fn a_carried_mask_leaves_out_what_comes_before_the_car() {
+fn a_propagated_mask_excludes_the_occluder() {
     let world = World::still(vec![Thing::car(RED, |t| (4 + 5 * t as i64, 30)), Thing::wall(80, 44)]);
-    // Masks are asked for once and never again: from then on they are carried.
+    // Only the first prompt succeeds: from then on the mask is propagated.
     let once = |t: usize, answer: BoxMask| (t == 0).then_some(answer);
     let (frames, _) = world.track_boxes(20, 30, |t| world.boxes(t, DetectionSource::Detector), &once);
     let on_wall = |t: usize| frames[t].iter().map(|m| m.mask.intersection_px2(&world.mask(t, 1))).max().unwrap_or(0);
     // The wall takes 70 more pixels in every frame.
     assert!((0..20).all(|t| on_wall(t) <= 28), "{:?}", (0..20).map(on_wall).collect::<Vec<_>>());
-    let hidden: Vec<usize> = (0..20).filter(|&t| world.mask(t, 0).area_px2() == 0).collect();
-    assert!(hidden.len() > 2 && hidden.into_iter().all(|t| frames[t].is_empty()));
+    let occluded: Vec<usize> = (0..20).filter(|&t| world.mask(t, 0).area_px2() == 0).collect();
+    assert!(occluded.len() > 2 && occluded.into_iter().all(|t| frames[t].is_empty()));
     let seen = |t: usize| frames[t].first().map_or(0.0, |m| m.mask.iou(&world.mask(t, 0)));
     assert!((0..14).all(|t| seen(t) > 0.75), "{:?}", (0..20).map(seen).collect::<Vec<_>>());
 }
 
 #[test]
-fn a_car_behind_a_wall_is_found_again() {
+fn a_car_is_linked_after_a_wall() {
     for every in [1, 5] {
         let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(70, 50)]);
         let (frames, tracks) = world.track_boxes(45, every, |t| world.boxes(t, DetectionSource::Detector), &honest);
         let [before, after] = &tracks[..] else { panic!("two pieces, every {every}: {tracks:#?}") };
         assert_eq!(after.after.map(|after| after.provisional), Some(before.provisional), "every {every}");
-        let hidden = (0..45).filter(|&t| world.mask(t, 0).area_px2() == 0);
-        assert!(hidden.clone().count() > 3 && hidden.into_iter().all(|t| frames[t].is_empty()));
+        let occluded = (0..45).filter(|&t| world.mask(t, 0).area_px2() == 0);
+        assert!(occluded.clone().count() > 3 && occluded.into_iter().all(|t| frames[t].is_empty()));
     }
 }
 
 #[test]
-fn motion_over_two_cars_that_drive_together_leaves_two() {
+fn one_motion_box_over_two_cars_keeps_two_tracks() {
     let world =
         World::still(vec![Thing::car(RED, |t| (4 + 3 * t as i64, 20)), Thing::car(BLUE, |t| (32 + 3 * t as i64, 20))]);
     let merged = |t: usize| {
@@ -364,7 +365,7 @@ fn motion_over_two_cars_that_drive_together_leaves_two() {
 }
 
 #[test]
-fn masks_that_are_road_or_half_the_car_give_way_to_the_carried_one() {
+fn the_propagated_mask_wins_over_road_and_half_a_car() {
     let world = one_car();
     let patch = |t: usize, answer: BoxMask| match t {
         10 => Some(BoxMask { mask: Mask::from_fn(WIDTH, HEIGHT, |_, y| y > 25), quality: 0.99 }),
@@ -377,7 +378,7 @@ fn masks_that_are_road_or_half_the_car_give_way_to_the_carried_one() {
         _ => Some(answer),
     };
     for finder in [DetectionSource::Detector, DetectionSource::Motion] {
-        // Boxes in the beginning only: from then on it lives by its own masks.
+        // Boxes in the beginning only: after that, masks are prompted with propagated ones.
         let found = |t: usize| if t < 6 { world.boxes(t, finder) } else { Vec::new() };
         let (frames, tracks) = world.track_boxes(40, 5, found, &patch);
         assert_eq!(tracks.len(), 1);
@@ -389,7 +390,7 @@ fn masks_that_are_road_or_half_the_car_give_way_to_the_carried_one() {
 }
 
 #[test]
-fn a_mask_that_fails_for_good_ends_the_track_where_it_was_last_right() {
+fn failed_prompts_end_the_track_at_its_last_reliable_mask() {
     let world = one_car();
     let blind = |t: usize, answer: BoxMask| (t < 15).then_some(answer);
     let found = |t: usize| if t < 6 { world.boxes(t, DetectionSource::Detector) } else { Vec::new() };
@@ -399,7 +400,7 @@ fn a_mask_that_fails_for_good_ends_the_track_where_it_was_last_right() {
 }
 
 #[test]
-fn a_false_box_gets_no_lasting_id() {
+fn a_false_box_gets_no_final_id() {
     let world = one_car();
     let alarm = |t: usize| {
         let mut found = world.boxes(t, DetectionSource::Detector);
@@ -425,28 +426,28 @@ fn the_same_boxes_give_the_same_result() {
 }
 
 #[test]
-fn a_prompter_that_answers_out_of_shape_is_refused() {
+fn a_segmenter_with_masks_of_wrong_size_is_rejected() {
     let world = one_car();
     let small = |_: usize, answer: BoxMask| Some(BoxMask { mask: Mask::full(5, 5), ..answer });
     let mut tracker = Tracker::new(TrackerOptions::default());
-    let mut prompter = world::WorldPrompter { world: &world, t: 0, num_asked: 0, spoil: &small };
+    let mut segmenter = world::WorldSegmenter { world: &world, t: 0, num_prompts: 0, spoil: &small };
     let found = found_boxes(world.boxes(0, DetectionSource::Detector));
-    let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
-    let wrong = tracker.advance(&World::frame(0), &world.image(0), look, None);
+    let input = FrameInput { found, by: BoxSource::Detector, segmenter: Some(&mut segmenter) };
+    let wrong = tracker.advance(&World::frame(0), &world.image(0), input, None);
     assert!(matches!(wrong, Err(crate::networks::PerceptionError::SizeMismatch { .. })));
 }
 
-/// Frames in which an object's mask overlaps a thing by more than 0.7, by lasting id.
+/// Frames in which an object's mask overlaps a thing by more than 0.7, by final id.
 fn shown(world: &World, frames: &[Vec<TrackedMask>], object: u32, thing: usize) -> Vec<usize> {
-    let is_there = |t: &usize| {
+    let is_tracked = |t: &usize| {
         let truth = world.mask(*t, thing);
         frames[*t].iter().any(|m| m.object == ObjectId(object) && m.mask.iou(&truth) > 0.7)
     };
-    (0..frames.len()).filter(is_there).collect()
+    (0..frames.len()).filter(is_tracked).collect()
 }
 
 #[test]
-fn a_car_that_was_found_late_gets_masks_from_its_first_frame_on() {
+fn a_car_that_was_detected_late_gets_masks_from_its_first_frame_on() {
     let world = one_car();
     let late = |t: usize| if t < 22 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     for every in [1, 5, 10] {
@@ -460,7 +461,7 @@ fn a_car_that_was_found_late_gets_masks_from_its_first_frame_on() {
 }
 
 #[test]
-fn a_car_is_followed_back_to_where_it_enters_the_picture_and_no_further() {
+fn backward_tracking_ends_where_the_car_enters_the_image() {
     let world = World::still(vec![Thing::car(RED, |t| (-60 + 4 * t as i64, 30))]);
     let late = |t: usize| if t < 30 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
@@ -471,19 +472,19 @@ fn a_car_is_followed_back_to_where_it_enters_the_picture_and_no_further() {
 }
 
 #[test]
-fn a_car_that_comes_from_behind_a_wall_is_not_followed_into_it() {
+fn backward_tracking_ends_at_an_occluder() {
     let world = World::still(vec![Thing::car(RED, |t| (4 + 4 * t as i64, 30)), Thing::wall(0, 90)]);
     let late = |t: usize| if t < 33 { Vec::new() } else { world.boxes(t, DetectionSource::Detector) };
     let (mut frames, tracks) = world.track_boxes(40, 5, late, &honest);
     let firsts = world.extend_back(&mut frames, &tracks, 5, &honest);
-    let hidden = (0..40).filter(|&t| world.mask(t, 0).area_px2() == 0);
-    assert!(hidden.into_iter().all(|t| frames[t].is_empty()), "{firsts:?}");
+    let occluded = (0..40).filter(|&t| world.mask(t, 0).area_px2() == 0);
+    assert!(occluded.into_iter().all(|t| frames[t].is_empty()), "{firsts:?}");
     assert!(shown(&world, &frames, 1, 0).len() >= 13, "{firsts:?}");
 }
 
 #[test]
-fn who_meets_another_object_is_followed_no_further() {
-    // One car under two ids: the first was lost for good while nobody saw it.
+fn backward_tracking_ends_at_another_object() {
+    // One car under two ids: the first was lost for good while the car was not observed.
     let world = one_car();
     let (frames, tracks) = world.track_boxes(40, 1, |t| world.boxes(t, DetectionSource::Detector), &honest);
     let second = TrackSummary { id: ObjectId(2), first: FrameId(25), ..tracks[0].clone() };
@@ -499,7 +500,7 @@ fn who_meets_another_object_is_followed_no_further() {
 }
 
 #[test]
-fn frames_must_come_backward() {
+fn backward_tracking_requires_descending_frames() {
     let world = one_car();
     let mut tracker = BackwardTracker::new(TrackerOptions::default(), &[]);
     tracker.advance(&World::frame(5), &world.image(5), &[], None, None).unwrap();
@@ -510,21 +511,21 @@ fn frames_must_come_backward() {
 }
 
 #[test]
-fn what_stands_starts_a_track_only_where_the_detector_is_sure() {
+fn a_stationary_object_starts_a_track_only_at_high_confidence() {
     let world = one_car();
-    let tracked = |confidence: f64, stands: bool| {
+    let tracked = |confidence: f64, is_stationary: bool| {
         let mut tracker = Tracker::new(TrackerOptions::default());
         for t in 0..12 {
             let flow = (t > 0).then(|| world.flow(t));
-            let mut prompter = world::WorldPrompter { world: &world, t, num_asked: 0, spoil: &honest };
+            let mut segmenter = world::WorldSegmenter { world: &world, t, num_prompts: 0, spoil: &honest };
             let boxes = world.boxes(t, DetectionSource::Detector).into_iter();
             let found =
-                boxes.map(|found| DetectedBox { found: BoxDetection { confidence, ..found }, stands }).collect();
-            let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut prompter) };
-            tracker.advance(&World::frame(t), &world.image(t), look, flow.as_ref()).unwrap();
+                boxes.map(|found| DetectedBox { found: BoxDetection { confidence, ..found }, is_stationary }).collect();
+            let input = FrameInput { found, by: BoxSource::Detector, segmenter: Some(&mut segmenter) };
+            tracker.advance(&World::frame(t), &world.image(t), input, flow.as_ref()).unwrap();
         }
-        let passed_over = tracker.passed_over();
-        (tracker.finish().len(), passed_over)
+        let ignored = tracker.ignored_boxes();
+        (tracker.finish().len(), ignored)
     };
     assert_eq!(tracked(0.5, false), (1, IgnoredBoxes::default()));
     assert_eq!(tracked(0.6, true), (1, IgnoredBoxes::default()));

@@ -1,15 +1,15 @@
-//! Following objects of which boxes are known, and masks only where they are asked for.
+//! Tracking step of one frame: boxes in every frame, masks in frames with segmentation.
 
 use ::image::RgbImage;
 
 use super::affine::Affine;
 use super::appearance::Appearance;
 use super::assignment::assign;
-use super::box_groups::{self, BoxGroup, Finding, INSIDE};
-use super::choice::{Expected, Fresh, MIN_SCORE, score, score_carried};
+use super::box_groups::{self, BoxGroup, FrameDetection, INSIDE};
+use super::choice::{Expected, MIN_SCORE, NewMask, score, score_propagated};
 use super::merging::is_same_size;
-use super::occlusion::Cover;
-use super::propagation::{Propagated, carry_rect, displacement_outside};
+use super::occlusion::Occlusion;
+use super::propagation::{Propagated, displacement_outside, propagate_rect};
 use super::region::Region;
 use super::track::{Moment, Prediction, Track};
 use super::tracker::{MAX_COVERED, TrackObservation, Tracker};
@@ -17,19 +17,19 @@ use super::{DetectedBox, Evidence, MIN_AREA_PX2, MIN_SIMILARITY, TrackerOptions}
 use crate::networks::{BoxSegmenter, PerceptionError};
 use crate::scene::{Flow, ObjectId, Outline, Rect};
 
-/// Overlap of boxes (intersection over union) that says as much as masks that overlap a little.
+/// Overlap of boxes (intersection over union) that suffices for an association, as a small overlap of masks does.
 const MIN_BOX_OVERLAP: f64 = 0.4;
-/// Share of a mask's pixels that must be carried by consistent flow for the carried mask to count.
-const MIN_CARRIED_SHARE: f64 = 0.4;
-/// A new mask that agrees so well with the outline of the whole object shows all of it.
+/// Minimum inlier ratio of the flow in a mask for the propagated mask to count.
+const MIN_INLIER_RATIO: f64 = 0.4;
+/// Overlap with the outline of the whole object from which a new mask shows all of it.
 const SAME_OUTLINE: f64 = 0.85;
-/// A new mask that swallows a followed object by more than this share is no object of its own.
-const SWALLOWED: f64 = 0.8;
-/// The rest of a vehicle moves like a part of it but for this share of its motion against the background: it turns or
-/// comes nearer. From 0.1 to 0.5 tracks differ little.
-const MOVES_ALIKE: f64 = 0.25;
+/// Share of a tracked object above which a new mask contains it; such a mask is no object of its own.
+const CONTAINED: f64 = 0.8;
+/// Maximum difference between the motions of a vehicle's part and of its rest, as a share of the part's motion against
+/// the background: the vehicle turns or approaches. From 0.1 to 0.5 tracks differ little.
+const MAX_MOTION_DIFFERENCE: f64 = 0.25;
 
-/// A frame as the tracker sees it.
+/// Image, flow and time of the current frame.
 pub(super) struct FrameView<'a> {
     pub(super) image: &'a RgbImage,
     pub(super) flow: Option<&'a Flow>,
@@ -38,438 +38,485 @@ pub(super) struct FrameView<'a> {
 }
 
 /// Detections of a frame, and their association with tracks.
-pub(super) struct Meeting {
+pub(super) struct FrameAssociation {
     pub(super) predictions: Vec<Prediction>,
-    /// Per track whether its carried mask serves without a new one, for the object stands.
+    /// Per track, true if its propagated mask is reused without a prompt, because the object is stationary.
     pub(super) is_at_rest: Vec<bool>,
-    pub(super) sights: Vec<BoxGroup>,
-    /// Per sight the mask in its box.
-    pub(super) masks: Vec<Option<Fresh>>,
-    /// Per track the masks in the box of its carried mask, and in that of its whole outline where a part is hidden.
-    pub(super) own_masks: Vec<Vec<Fresh>>,
-    /// Per track the sight that shows it.
-    sight_of: Vec<Option<usize>>,
+    pub(super) groups: Vec<BoxGroup>,
+    /// Per group the new mask in its box.
+    pub(super) masks: Vec<Option<NewMask>>,
+    /// Per track the new masks in the box of its propagated or predicted mask and, where a part is occluded, in that of
+    /// its whole outline.
+    pub(super) own_masks: Vec<Vec<NewMask>>,
+    /// Per track the group that shows it.
+    group_of: Vec<Option<usize>>,
     /// Quality of the outlines of new masks.
     outline: Outline,
 }
 
-impl Meeting {
-    pub(super) fn carried(&self, track: usize) -> Option<&Propagated> {
-        self.predictions[track].carried.as_ref()
+impl FrameAssociation {
+    pub(super) fn propagated(&self, track: usize) -> Option<&Propagated> {
+        self.predictions[track].propagated.as_ref()
     }
 
-    fn sight(&self, track: usize) -> Option<&BoxGroup> {
-        self.sight_of[track].map(|sight| &self.sights[sight])
+    fn group(&self, track: usize) -> Option<&BoxGroup> {
+        self.group_of[track].map(|group| &self.groups[group])
     }
 
-    /// The sights that show no track.
-    fn left(&self) -> Vec<usize> {
-        (0..self.sights.len()).filter(|s| !self.sight_of.contains(&Some(*s))).collect()
+    /// Groups without a track.
+    fn unassociated(&self) -> Vec<usize> {
+        (0..self.groups.len()).filter(|s| !self.group_of.contains(&Some(*s))).collect()
     }
 }
 
-/// A mask that a track may have in a frame.
-struct Choice {
+/// Candidate mask of a track in a frame.
+struct Candidate {
     score: f64,
-    /// `None` for the carried one.
-    fresh: Option<Fresh>,
+    /// `None` for the propagated one.
+    new_mask: Option<NewMask>,
 }
 
 impl Tracker {
-    /// Follows all tracks into a frame of which boxes are known. Masks are asked of the prompter, if there is one;
-    /// otherwise they are carried, and boxes that show nothing that is followed wait.
-    pub(super) fn follow_boxes(
+    /// Advances all tracks to a frame with known boxes.
+    ///
+    /// With a segmenter, boxes are prompted for masks. Without one, masks are propagated, and unassociated boxes are
+    /// pending.
+    pub(super) fn advance_tracks(
         &mut self,
         view: &FrameView,
         found: Vec<DetectedBox>,
-        prompter: Option<&mut dyn BoxSegmenter>,
+        segmenter: Option<&mut dyn BoxSegmenter>,
     ) -> Result<Vec<TrackObservation>, PerceptionError> {
-        let mut meeting = self.meet(view, found);
-        let waiting = self.waiting_now(view.flow);
-        let Some(prompter) = prompter else {
-            self.associate_boxes(view, &mut meeting);
-            let left = meeting.left().into_iter().map(|s| meeting.sights[s].clone()).collect();
-            self.waiting = box_groups::wait(waiting, left);
-            return Ok(self.carry_all(view, &meeting));
+        let mut association = self.predict_and_group(view, found);
+        let pending = self.propagated_pending(view.flow);
+        let Some(segmenter) = segmenter else {
+            self.associate_boxes(view, &mut association);
+            let unassociated = association.unassociated().into_iter().map(|s| association.groups[s].clone()).collect();
+            self.pending = box_groups::postpone(pending, unassociated);
+            return Ok(self.propagate_all(view, &association));
         };
-        meeting.sights = box_groups::join(waiting, meeting.sights);
-        meeting.is_at_rest = self.at_rest(view, &meeting);
-        meeting.outline = if prompter.is_coarse() { Outline::Coarse } else { Outline::Network };
-        self.segment(view, prompter, &mut meeting)?;
-        self.waiting.clear();
-        self.associate_boxes(view, &mut meeting);
-        self.count_passed_over(&meeting);
-        let mut seen = self.choose(view, &meeting);
-        self.look_for(view, &meeting, &mut seen);
-        seen.extend(self.find_again(view, &mut meeting, &seen));
-        self.lose_others(view, &meeting, &seen);
-        seen.extend(self.start_boxes(view, &meeting, &seen));
-        Ok(seen)
+        association.groups = box_groups::merge_pending(pending, association.groups);
+        association.is_at_rest = self.at_rest(view, &association);
+        association.outline = if segmenter.is_coarse() { Outline::Coarse } else { Outline::Network };
+        self.segment(view, segmenter, &mut association)?;
+        self.pending.clear();
+        self.associate_boxes(view, &mut association);
+        self.count_ignored(&association);
+        let mut observations = self.assign_masks(view, &association);
+        self.redetect_at_prediction(view, &association, &mut observations);
+        observations.extend(self.redetect(view, &mut association, &observations));
+        self.lose_unobserved(view, &association, &observations);
+        observations.extend(self.start_boxes(view, &association, &observations));
+        Ok(observations)
     }
 
-    /// Counts the boxes that would start a track if they did not stand.
-    fn count_passed_over(&mut self, meeting: &Meeting) {
-        for sight in meeting.left().into_iter().map(|s| &meeting.sights[s]) {
-            if sight.stands() && !may_start(sight, &self.options) && sight.confidence() >= self.options.start_confidence
+    /// Counts the boxes that start no track only because they are stationary.
+    fn count_ignored(&mut self, association: &FrameAssociation) {
+        for group in association.unassociated().into_iter().map(|s| &association.groups[s]) {
+            if group.is_stationary()
+                && !may_start(group, &self.options)
+                && group.confidence() >= self.options.start_confidence
             {
-                self.passed_over.num_boxes += 1;
-                self.passed_over.max_confidence = self.passed_over.max_confidence.max(sight.confidence());
+                self.ignored.num_boxes += 1;
+                self.ignored.max_confidence = self.ignored.max_confidence.max(group.confidence());
             }
         }
     }
 
-    /// Where all tracks should be, and what boxes show.
-    fn meet(&self, view: &FrameView, found: Vec<DetectedBox>) -> Meeting {
+    /// Predicts all tracks and groups the boxes.
+    fn predict_and_group(&self, view: &FrameView, found: Vec<DetectedBox>) -> FrameAssociation {
         let mut predictions = self.predict(view.flow, view.image, view.elapsed_s);
-        let is_trusted = |track: &Track, carried: &Propagated| is_trusted(track, carried, view.image);
+        let is_plausible = |track: &Track, propagated: &Propagated| is_plausible(track, propagated, view.image);
         for (track, prediction) in self.tracks.iter().zip(&mut predictions) {
-            prediction.carried = prediction.carried.take().filter(|carried| is_trusted(track, carried));
+            prediction.propagated = prediction.propagated.take().filter(|propagated| is_plausible(track, propagated));
         }
-        let rects: Vec<Rect> = predictions.iter().filter_map(|p| Some(p.carried.as_ref()?.region.rect())).collect();
-        let sights = box_groups::merge(found, &rects, &self.options, view.image.dimensions());
+        let rects: Vec<Rect> = predictions.iter().filter_map(|p| Some(p.propagated.as_ref()?.region.rect())).collect();
+        let groups = box_groups::merge(found, &rects, &self.options, view.image.dimensions());
         for (track, prediction) in self.tracks.iter().zip(&mut predictions) {
-            if prediction.carried.is_none() && !track.is_lost() {
-                let carried = carried_by_box(track, prediction, &sights);
-                prediction.carried = carried.filter(|carried| is_trusted(track, carried));
+            if prediction.propagated.is_none() && !track.is_lost() {
+                let propagated = propagated_by_box(track, prediction, &groups);
+                prediction.propagated = propagated.filter(|propagated| is_plausible(track, propagated));
             }
         }
-        let (num_tracks, num_sights) = (self.tracks.len(), sights.len());
-        Meeting {
+        let (num_tracks, num_groups) = (self.tracks.len(), groups.len());
+        FrameAssociation {
             predictions,
             is_at_rest: vec![false; num_tracks],
-            sights,
-            masks: vec![None; num_sights],
+            groups,
+            masks: vec![None; num_groups],
             own_masks: vec![Vec::new(); num_tracks],
-            sight_of: vec![None; num_tracks],
+            group_of: vec![None; num_tracks],
             outline: Outline::default(),
         }
     }
 
-    /// The boxes that wait, moved to where they are in this frame.
-    fn waiting_now(&self, flow: Option<&Flow>) -> Vec<BoxGroup> {
-        let moved = |sight: &BoxGroup| {
-            let rect = flow.map_or(Some(sight.rect), |flow| carry_rect(&sight.rect, flow))?;
-            Some(sight.at(rect))
+    /// Pending groups, propagated to this frame.
+    fn propagated_pending(&self, flow: Option<&Flow>) -> Vec<BoxGroup> {
+        let moved = |group: &BoxGroup| {
+            let rect = flow.map_or(Some(group.rect), |flow| propagate_rect(&group.rect, flow))?;
+            Some(group.at(rect))
         };
-        self.waiting.iter().filter_map(moved).collect()
+        self.pending.iter().filter_map(moved).collect()
     }
 
-    /// Joins boxes and the tracks in sight, by their boxes and, where they are known, by their masks. An object that is
-    /// partly hidden may show all of itself again: its whole outline counts as well as what was seen of it.
-    fn associate_boxes(&self, view: &FrameView, meeting: &mut Meeting) {
-        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_some()).collect();
-        let pairs = assign(rows.len(), meeting.sights.len(), |row, s| {
-            let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[s]);
-            let carried = meeting.carried(rows[row])?;
-            let best = |overlap: &dyn Fn(&Region) -> f64| overlap(&carried.region).max(overlap(&carried.whole));
-            let by_box = best(&|region| region.rect().iou(&sight.rect));
-            // The mask of a car is not the road on which it is, whatever was taken for a vehicle there.
+    /// Associates boxes with propagated tracks, by box overlap and, where masks are known, by mask overlap.
+    ///
+    /// A partly occluded object may become fully visible again: its whole outline counts as well as its visible part.
+    fn associate_boxes(&self, view: &FrameView, association: &mut FrameAssociation) {
+        let rows: Vec<usize> = (0..self.tracks.len()).filter(|t| association.propagated(*t).is_some()).collect();
+        let pairs = assign(rows.len(), association.groups.len(), |row, s| {
+            let (track, group) = (&self.tracks[rows[row]], &association.groups[s]);
+            let propagated = association.propagated(rows[row])?;
+            let best = |overlap: &dyn Fn(&Region) -> f64| overlap(&propagated.region).max(overlap(&propagated.whole));
+            let by_box = best(&|region| region.rect().iou(&group.rect));
+            // The mask of a car does not match the patch of road around it that was taken for a vehicle.
             let alike = |a: &Region, b: &Region| is_same_size(a.area() as f64 / b.area() as f64);
             let overlap = |a: &Region, b: &Region| if alike(a, b) { a.iou(b) } else { 0.0 };
-            let by_mask = meeting.masks[s].as_ref().map_or(0.0, |fresh| best(&|region| overlap(&fresh.region, region)));
-            let meets = by_mask >= self.options.min_overlap
+            let by_mask =
+                association.masks[s].as_ref().map_or(0.0, |new_mask| best(&|region| overlap(&new_mask.region, region)));
+            let is_match = by_mask >= self.options.min_overlap
                 || by_box >= MIN_BOX_OVERLAP
-                || self.is_part(rows[row], s, meeting, view);
-            (meets && track.may_be(sight.class())).then_some(0.5 * (by_box + by_mask))
+                || self.is_part(rows[row], s, association, view);
+            (is_match && track.is_compatible(group.class())).then_some(0.5 * (by_box + by_mask))
         });
-        for (row, sight) in pairs {
-            meeting.sight_of[rows[row]] = Some(sight);
+        for (row, group) in pairs {
+            association.group_of[rows[row]] = Some(group);
         }
     }
 
-    /// Returns true if a moving track has been following a part of the vehicle that the mask in a box shows: no other
-    /// track has anything in the box, which may start one, and the rest of the box moves like the part.
-    fn is_part(&self, track_idx: usize, sight: usize, meeting: &Meeting, view: &FrameView) -> bool {
-        let (track, sight, fresh) = (&self.tracks[track_idx], &meeting.sights[sight], &meeting.masks[sight]);
-        let (Some(carried), Some(fresh), Some(flow)) = (meeting.carried(track_idx), fresh, view.flow) else {
+    /// Returns true if a moving track covers only a part of the vehicle that the mask in a box shows.
+    ///
+    /// The box must be able to start a track and contain no other one, and its rest must move like the part.
+    fn is_part(&self, track_idx: usize, group: usize, association: &FrameAssociation, view: &FrameView) -> bool {
+        let (track, group, new_mask) = (&self.tracks[track_idx], &association.groups[group], &association.masks[group]);
+        let (Some(propagated), Some(new_mask), Some(flow)) = (association.propagated(track_idx), new_mask, view.flow)
+        else {
             return false;
         };
-        let is_swallowed = carried.region.covered_by(&fresh.region) > SWALLOWED;
-        if !is_swallowed || track.stands() || !may_start(sight, &self.options) {
+        let is_contained = propagated.region.covered_by(&new_mask.region) > CONTAINED;
+        if !is_contained || track.is_stationary() || !may_start(group, &self.options) {
             return false;
         }
         let is_in_it = |other: usize| {
-            let carried = meeting.carried(other);
-            carried.is_some_and(|other| box_groups::inside(&other.region.rect(), &sight.rect) > 1.0 - INSIDE)
+            let propagated = association.propagated(other);
+            propagated.is_some_and(|other| box_groups::inside(&other.region.rect(), &group.rect) > 1.0 - INSIDE)
         };
         if (0..self.tracks.len()).any(|other| other != track_idx && is_in_it(other)) {
             return false;
         }
-        let [x, y] = carried.displacement;
-        let [back_x, back_y] = meeting.predictions[track_idx].background;
-        let tolerance_px = MOVES_ALIKE * (x - back_x).hypot(y - back_y);
-        let rest = displacement_outside(&track.region, &sight.rect.moved([-x, -y]), flow);
+        let [x, y] = propagated.displacement;
+        let [back_x, back_y] = association.predictions[track_idx].background;
+        let tolerance_px = MAX_MOTION_DIFFERENCE * (x - back_x).hypot(y - back_y);
+        let rest = displacement_outside(&track.region, &group.rect.moved([-x, -y]), flow);
         rest.is_some_and(|[rest_x, rest_y]| (rest_x - x).hypot(rest_y - y) <= tolerance_px)
     }
 
-    /// Carries all masks on in a frame in which none is asked for.
-    fn carry_all(&mut self, view: &FrameView, meeting: &Meeting) -> Vec<TrackObservation> {
-        let mut seen = Vec::new();
+    /// Propagates all masks in a frame without segmentation.
+    fn propagate_all(&mut self, view: &FrameView, association: &FrameAssociation) -> Vec<TrackObservation> {
+        let mut observations = Vec::new();
         for track_idx in 0..self.tracks.len() {
-            match meeting.carried(track_idx) {
-                Some(carried) => {
-                    let evidence = self.keep_carried(track_idx, meeting, false, view);
-                    seen.push(TrackObservation { track_idx, evidence, region: carried.region.clone() });
+            match association.propagated(track_idx) {
+                Some(propagated) => {
+                    let evidence = self.keep_propagated(track_idx, association, false, view);
+                    observations.push(TrackObservation { track_idx, evidence, region: propagated.region.clone() });
                 }
-                None => self.lose(track_idx, meeting, view.now),
+                None => self.lose(track_idx, association, view.now),
             }
         }
-        seen
+        observations
     }
 
-    fn keep_carried(&mut self, track_idx: usize, meeting: &Meeting, in_vain: bool, view: &FrameView) -> Evidence {
+    fn keep_propagated(
+        &mut self,
+        track_idx: usize,
+        association: &FrameAssociation,
+        has_failed: bool,
+        view: &FrameView,
+    ) -> Evidence {
         let track = &mut self.tracks[track_idx];
-        track.note_look(meeting.sight(track_idx), false, view.now);
-        track.carry(&meeting.predictions[track_idx], in_vain, view.now, view.elapsed_s);
-        meeting.sight(track_idx).map_or(Evidence::Carried, detected)
+        track.count_evidence(association.group(track_idx), false, view.now);
+        track.propagate(&association.predictions[track_idx], has_failed, view.now, view.elapsed_s);
+        association.group(track_idx).map_or(Evidence::Carried, detected)
     }
 
-    fn lose(&mut self, track_idx: usize, meeting: &Meeting, now: Moment) {
+    fn lose(&mut self, track_idx: usize, association: &FrameAssociation, now: Moment) {
         let track = &mut self.tracks[track_idx];
-        let moved = meeting.predictions[track_idx].moved.clone().unwrap_or_else(|| track.region.clone());
+        let moved = association.predictions[track_idx].moved.clone().unwrap_or_else(|| track.region.clone());
         track.lose(moved, now);
     }
 
-    /// Gives every track in sight the mask that fits it best. No two tracks get the same: the one for which more
-    /// speaks comes first, the other takes what is left, or is lost.
-    fn choose(&mut self, view: &FrameView, meeting: &Meeting) -> Vec<TrackObservation> {
-        let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_some()).collect();
-        let rank = |t: usize| (meeting.sight_of[t].is_some(), self.tracks[t].rank());
+    /// Assigns each propagated track its best mask; no two tracks get the same.
+    ///
+    /// Tracks with a box come first, then those of higher rank. The others take a remaining mask, or are lost.
+    fn assign_masks(&mut self, view: &FrameView, association: &FrameAssociation) -> Vec<TrackObservation> {
+        let mut order: Vec<usize> = (0..self.tracks.len()).filter(|t| association.propagated(*t).is_some()).collect();
+        let rank = |t: usize| (association.group_of[t].is_some(), self.tracks[t].rank());
         order.sort_by(|&a, &b| rank(b).cmp(&rank(a)).then(a.cmp(&b)));
-        let mut seen: Vec<TrackObservation> = Vec::new();
+        let mut observations: Vec<TrackObservation> = Vec::new();
         for track_idx in order {
-            let Some(carried) = meeting.carried(track_idx) else { continue };
-            let region_of = |choice: &Choice| match &choice.fresh {
-                Some(fresh) => fresh.region.clone(),
-                None => carried.region.clone(),
+            let Some(propagated) = association.propagated(track_idx) else { continue };
+            let region_of = |candidate: &Candidate| match &candidate.new_mask {
+                Some(new_mask) => new_mask.region.clone(),
+                None => propagated.region.clone(),
             };
-            let choices = choices(&self.tracks[track_idx], meeting, track_idx, carried);
-            let Some(choice) = choices.into_iter().find(|choice| !is_taken(&region_of(choice), &seen)) else {
+            let candidates = candidates(&self.tracks[track_idx], association, track_idx, propagated);
+            let Some(candidate) =
+                candidates.into_iter().find(|candidate| !is_taken(&region_of(candidate), &observations))
+            else {
                 continue;
             };
-            let region = region_of(&choice);
-            if let Some(evidence) = self.take(track_idx, choice.fresh, meeting, view) {
-                seen.push(TrackObservation { track_idx, evidence, region });
+            let region = region_of(&candidate);
+            if let Some(evidence) = self.update_track(track_idx, candidate.new_mask, association, view) {
+                observations.push(TrackObservation { track_idx, evidence, region });
             }
         }
-        seen
+        observations
     }
 
-    /// Continues a track with a new mask, or with the carried one; `None` if that is worn out.
-    fn take(
+    /// Continues a track with a new mask, or with the propagated one; `None` if that is unusable.
+    fn update_track(
         &mut self,
         track_idx: usize,
-        fresh: Option<Fresh>,
-        meeting: &Meeting,
+        new_mask: Option<NewMask>,
+        association: &FrameAssociation,
         view: &FrameView,
     ) -> Option<Evidence> {
-        let Some(fresh) = fresh else {
+        let Some(new_mask) = new_mask else {
             let is_worn_out = self.tracks[track_idx].is_worn_out();
-            return (!is_worn_out).then(|| self.keep_carried(track_idx, meeting, !meeting.is_at_rest[track_idx], view));
+            return (!is_worn_out)
+                .then(|| self.keep_propagated(track_idx, association, !association.is_at_rest[track_idx], view));
         };
-        let (track, sight) = (&mut self.tracks[track_idx], meeting.sight(track_idx));
-        if let Some(carried) = meeting.carried(track_idx) {
-            let retraced = track.way.retraced(&fresh.region, carried, view.image.dimensions());
+        let (track, group) = (&mut self.tracks[track_idx], association.group(track_idx));
+        if let Some(propagated) = association.propagated(track_idx) {
+            let retraced = track.history.retraced(&new_mask.region, propagated, view.image.dimensions());
             self.retraced.extend(retraced.into_iter().map(|(frame, region)| (frame, track.provisional, region)));
         }
-        track.note_look(sight, true, view.now);
-        track.renew(&fresh, meeting.outline, &meeting.predictions[track_idx], view.now, view.elapsed_s);
-        track.anchor(sight);
-        Some(sight.map_or(Evidence::Prompted { quality: fresh.quality }, detected))
+        track.count_evidence(group, true, view.now);
+        track.renew(&new_mask, association.outline, &association.predictions[track_idx], view.now, view.elapsed_s);
+        track.anchor(group);
+        Some(group.map_or(Evidence::Prompted { quality: new_mask.quality }, detected))
     }
 
-    /// Continues tracks whose flow failed just now by the masks where they should be.
-    fn look_for(&mut self, view: &FrameView, meeting: &Meeting, seen: &mut Vec<TrackObservation>) {
-        for track_idx in (0..self.tracks.len()).filter(|t| meeting.carried(*t).is_none()) {
-            let Some(place) = &meeting.predictions[track_idx].moved else { continue };
-            let is_shown = |fresh: &&Fresh| self.tracks[track_idx].is_shown_by(fresh, place);
-            let shown = meeting.own_masks[track_idx].iter().find(is_shown);
-            let Some(fresh) = shown.filter(|fresh| !is_explained(&fresh.region, seen)).cloned() else { continue };
-            self.lose(track_idx, meeting, view.now);
-            seen.extend(self.take_again(track_idx, fresh, meeting, view));
+    /// Re-detects tracks whose flow has just failed by new masks at their predicted positions.
+    fn redetect_at_prediction(
+        &mut self,
+        view: &FrameView,
+        association: &FrameAssociation,
+        observations: &mut Vec<TrackObservation>,
+    ) {
+        for track_idx in (0..self.tracks.len()).filter(|t| association.propagated(*t).is_none()) {
+            let Some(place) = &association.predictions[track_idx].moved else { continue };
+            let is_shown = |new_mask: &&NewMask| self.tracks[track_idx].is_shown_by(new_mask, place);
+            let shown = association.own_masks[track_idx].iter().find(is_shown);
+            let Some(new_mask) = shown.filter(|new_mask| !is_explained(&new_mask.region, observations)).cloned() else {
+                continue;
+            };
+            self.lose(track_idx, association, view.now);
+            observations.extend(self.resume_lost(track_idx, new_mask, association, view));
         }
     }
 
-    /// Continues a track that was lost with a mask that shows it again.
-    fn take_again(
+    /// Continues a lost track with a mask that shows it again.
+    fn resume_lost(
         &mut self,
         track_idx: usize,
-        fresh: Fresh,
-        meeting: &Meeting,
+        new_mask: NewMask,
+        association: &FrameAssociation,
         view: &FrameView,
     ) -> Option<TrackObservation> {
-        self.tracks[track_idx].note_gap(&fresh, view.now);
-        let region = fresh.region.clone();
-        let evidence = self.take(track_idx, Some(fresh), meeting, view)?;
+        self.tracks[track_idx].record_gap(&new_mask, view.now);
+        let region = new_mask.region.clone();
+        let evidence = self.update_track(track_idx, Some(new_mask), association, view)?;
         Some(TrackObservation { track_idx, evidence, region })
     }
 
-    /// Continues tracks that were lost a moment ago by masks at about their place, of about their size and like
-    /// colours.
-    fn find_again(
+    /// Re-detects briefly lost tracks by unassociated masks of similar position, size and color.
+    fn redetect(
         &mut self,
         view: &FrameView,
-        meeting: &mut Meeting,
-        seen: &[TrackObservation],
+        association: &mut FrameAssociation,
+        observations: &[TrackObservation],
     ) -> Vec<TrackObservation> {
         let may_return = |t: &usize| {
-            meeting.carried(*t).is_none()
-                && seen.iter().all(|s| s.track_idx != *t)
+            association.propagated(*t).is_none()
+                && observations.iter().all(|s| s.track_idx != *t)
                 && (!self.tracks[*t].is_lost() || self.tracks[*t].is_briefly_lost(view.now))
         };
         let rows: Vec<usize> = (0..self.tracks.len()).filter(may_return).collect();
-        let columns = meeting.left();
+        let columns = association.unassociated();
         let pairs = assign(rows.len(), columns.len(), |row, column| {
-            let (track, sight) = (&self.tracks[rows[row]], &meeting.sights[columns[column]]);
-            let fresh = meeting.masks[columns[column]].as_ref().filter(|fresh| !is_explained(&fresh.region, seen))?;
-            let recognised = track.recognise(&fresh.region, fresh.appearance.as_ref(), view.now)?;
-            track.may_be(sight.class()).then_some(recognised.score)
+            let (track, group) = (&self.tracks[rows[row]], &association.groups[columns[column]]);
+            let new_mask = association.masks[columns[column]]
+                .as_ref()
+                .filter(|new_mask| !is_explained(&new_mask.region, observations))?;
+            let recognized = track.recognize(&new_mask.region, new_mask.appearance.as_ref(), view.now)?;
+            track.is_compatible(group.class()).then_some(recognized.score)
         });
-        let mut again: Vec<TrackObservation> = Vec::new();
+        let mut redetected: Vec<TrackObservation> = Vec::new();
         for (row, column) in pairs {
-            let (track_idx, sight_idx) = (rows[row], columns[column]);
-            let Some(fresh) = meeting.masks[sight_idx].clone() else { continue };
-            if is_taken(&fresh.region, &again) {
+            let (track_idx, group_idx) = (rows[row], columns[column]);
+            let Some(new_mask) = association.masks[group_idx].clone() else { continue };
+            if is_taken(&new_mask.region, &redetected) {
                 continue;
             }
-            meeting.sight_of[track_idx] = Some(sight_idx);
-            again.extend(self.take_again(track_idx, fresh, meeting, view));
+            association.group_of[track_idx] = Some(group_idx);
+            redetected.extend(self.resume_lost(track_idx, new_mask, association, view));
         }
-        again
+        redetected
     }
 
-    fn lose_others(&mut self, view: &FrameView, meeting: &Meeting, seen: &[TrackObservation]) {
+    fn lose_unobserved(&mut self, view: &FrameView, association: &FrameAssociation, observations: &[TrackObservation]) {
         for track_idx in 0..self.tracks.len() {
-            if seen.iter().all(|s| s.track_idx != track_idx) {
-                self.lose(track_idx, meeting, view.now);
+            if observations.iter().all(|s| s.track_idx != track_idx) {
+                self.lose(track_idx, association, view.now);
             }
         }
     }
 
-    /// Starts tracks from boxes that are sure enough and show nothing that is followed, by the surest first.
-    fn start_boxes(&mut self, view: &FrameView, meeting: &Meeting, seen: &[TrackObservation]) -> Vec<TrackObservation> {
-        let mut left = meeting.left();
-        left.sort_by(|&a, &b| {
-            meeting.sights[b].confidence().total_cmp(&meeting.sights[a].confidence()).then(a.cmp(&b))
+    /// Starts tracks from unassociated boxes, the most confident first.
+    fn start_boxes(
+        &mut self,
+        view: &FrameView,
+        association: &FrameAssociation,
+        observations: &[TrackObservation],
+    ) -> Vec<TrackObservation> {
+        let mut unassociated = association.unassociated();
+        unassociated.sort_by(|&a, &b| {
+            association.groups[b].confidence().total_cmp(&association.groups[a].confidence()).then(a.cmp(&b))
         });
         let mut started: Vec<TrackObservation> = Vec::new();
-        for (sight, fresh) in left.into_iter().filter_map(|s| Some((&meeting.sights[s], meeting.masks[s].as_ref()?))) {
-            let is_old = is_explained(&fresh.region, seen) || is_explained(&fresh.region, &started);
-            if is_old || !may_start(sight, &self.options) {
+        for (group, new_mask) in
+            unassociated.into_iter().filter_map(|s| Some((&association.groups[s], association.masks[s].as_ref()?)))
+        {
+            let is_old = is_explained(&new_mask.region, observations) || is_explained(&new_mask.region, &started);
+            if is_old || !may_start(group, &self.options) {
                 continue;
             }
             self.num_started += 1;
-            let track = Track::start_from_box(ObjectId(self.num_started), sight, fresh, meeting.outline, view.now);
-            self.add(track, fresh.appearance.as_ref(), view.now);
-            let (track_idx, region) = (self.tracks.len() - 1, fresh.region.clone());
-            started.push(TrackObservation { track_idx, evidence: detected(sight), region });
+            let track =
+                Track::start_from_box(ObjectId(self.num_started), group, new_mask, association.outline, view.now);
+            self.add(track, new_mask.appearance.as_ref(), view.now);
+            let (track_idx, region) = (self.tracks.len() - 1, new_mask.region.clone());
+            started.push(TrackObservation { track_idx, evidence: detected(group), region });
         }
         started
     }
 }
 
-/// Returns true if a box is reliable enough to start a track: by its class, by its motion, or by both. A stationary
-/// object has only its class.
-pub(super) fn may_start(sight: &BoxGroup, options: &TrackerOptions) -> bool {
-    let least =
-        if sight.stands() { options.start_standing.max(options.start_confidence) } else { options.start_confidence };
-    let surest = |of: fn(&Finding) -> Option<f64>| sight.findings().filter_map(of).fold(0.0, f64::max);
+/// Returns true if a box is reliable enough to start a track: by its class, by its motion, or by both.
+///
+/// A stationary object has only its class.
+pub(super) fn may_start(group: &BoxGroup, options: &TrackerOptions) -> bool {
+    let least = if group.is_stationary() {
+        options.start_standing.max(options.start_confidence)
+    } else {
+        options.start_confidence
+    };
+    let surest = |of: fn(&FrameDetection) -> Option<f64>| group.detections().filter_map(of).fold(0.0, f64::max);
     let (detector, motion) = (surest(|found| found.detector), surest(|found| found.motion));
     let is_both = detector > 0.0 && motion >= options.start_confidence;
     is_both || detector >= least || motion >= options.start_motion
 }
 
-/// The mask of an object in which flow is of no use, as of a dark car of 15 pixels, carried with the box that shows the
-/// object; `None` where no box does.
-fn carried_by_box(track: &Track, prediction: &Prediction, sights: &[BoxGroup]) -> Option<Propagated> {
+/// Propagates a mask with the box that shows the object, where flow is unusable, as in a dark car of 15 pixels.
+///
+/// `None` without such a box.
+fn propagated_by_box(track: &Track, prediction: &Prediction, groups: &[BoxGroup]) -> Option<Propagated> {
     let place = prediction.moved.as_ref()?.rect();
-    let overlaps = sights.iter().map(|sight| (sight.rect.iou(&place), sight));
-    let (_, sight) = overlaps.filter(|(iou, _)| *iou >= MIN_BOX_OVERLAP).max_by(|a, b| a.0.total_cmp(&b.0))?;
-    let displacement = track.displacement_to(&sight.rect)?;
+    let overlaps = groups.iter().map(|group| (group.rect.iou(&place), group));
+    let (_, group) = overlaps.filter(|(iou, _)| *iou >= MIN_BOX_OVERLAP).max_by(|a, b| a.0.total_cmp(&b.0))?;
+    let displacement = track.displacement_to(&group.rect)?;
     let (region, whole) = (&track.region, &track.whole);
     Some(Propagated {
         region: region.moved(displacement)?,
         whole: whole.moved(displacement)?,
-        cover: Cover::default(),
+        occlusion: Occlusion::default(),
         displacement,
-        share: 1.0,
+        inlier_ratio: 1.0,
         motion: Affine::shift(displacement),
     })
 }
 
 /// Returns true if a propagated mask may be the object's.
-fn is_trusted(track: &Track, carried: &Propagated, image: &RgbImage) -> bool {
-    carried.share >= MIN_CARRIED_SHARE
-        && carried.region.area() >= MIN_AREA_PX2
-        && !carried.is_nearly_hidden()
-        && looks_like(track, image, &carried.region)
+fn is_plausible(track: &Track, propagated: &Propagated, image: &RgbImage) -> bool {
+    propagated.inlier_ratio >= MIN_INLIER_RATIO
+        && propagated.region.area() >= MIN_AREA_PX2
+        && !propagated.is_nearly_occluded()
+        && is_similar(track, image, &propagated.region)
 }
 
-fn detected(sight: &BoxGroup) -> Evidence {
-    Evidence::Detected { confidence: sight.confidence() }
+fn detected(group: &BoxGroup) -> Evidence {
+    Evidence::Detected { confidence: group.confidence() }
 }
 
-/// The masks that a track may have, best first.
-fn choices(track: &Track, meeting: &Meeting, track_idx: usize, carried: &Propagated) -> Vec<Choice> {
+/// Candidate masks of a track, best first.
+fn candidates(
+    track: &Track,
+    association: &FrameAssociation,
+    track_idx: usize,
+    propagated: &Propagated,
+) -> Vec<Candidate> {
     let expected = Expected {
-        carried: Some(&carried.region),
-        whole: carried.is_partly_hidden().then_some(&carried.whole),
-        rect: meeting.sight(track_idx).map(|sight| sight.rect),
+        propagated: Some(&propagated.region),
+        whole: propagated.is_partly_occluded().then_some(&propagated.whole),
+        rect: association.group(track_idx).map(|group| group.rect),
         area: track.area,
         appearance: track.appearance.as_ref(),
     };
-    let in_sight = meeting.sight_of[track_idx].and_then(|sight| meeting.masks[sight].clone());
-    let new = in_sight.into_iter().chain(meeting.own_masks[track_idx].clone());
-    let new = new.filter_map(|fresh| uncovered(fresh, carried)).filter_map(|fresh| own(fresh, track_idx, meeting));
-    let mut choices: Vec<Choice> = new
-        .map(|fresh| Choice { score: score(&fresh, &expected), fresh: Some(fresh) })
-        .filter(|choice| choice.score >= MIN_SCORE)
+    let in_box = association.group_of[track_idx].and_then(|group| association.masks[group].clone());
+    let new = in_box.into_iter().chain(association.own_masks[track_idx].clone());
+    let new = new
+        .filter_map(|new_mask| without_occluders(new_mask, propagated))
+        .filter_map(|new_mask| without_others(new_mask, track_idx, association));
+    let mut candidates: Vec<Candidate> = new
+        .map(|new_mask| Candidate { score: score(&new_mask, &expected), new_mask: Some(new_mask) })
+        .filter(|candidate| candidate.score >= MIN_SCORE)
         .collect();
-    let old = score_carried(&carried.region, track.quality, track.frames_carried() + 1, &expected);
-    choices.push(Choice { score: old, fresh: None });
-    choices.sort_by(|a, b| b.score.total_cmp(&a.score));
-    choices
+    let old = score_propagated(&propagated.region, track.quality, track.frames_propagated() + 1, &expected);
+    candidates.push(Candidate { score: old, new_mask: None });
+    candidates.sort_by(|a, b| b.score.total_cmp(&a.score));
+    candidates
 }
 
-/// A new mask without what comes before the object, unless it shows that nothing does any more; `None` if that is most
-/// of it.
-fn uncovered(fresh: Fresh, carried: &Propagated) -> Option<Fresh> {
-    if fresh.region.iou(&carried.whole) >= SAME_OUTLINE {
-        return Some(fresh);
+/// Removes occluders from a new mask, unless it shows the whole object; `None` if at most half remains.
+fn without_occluders(new_mask: NewMask, propagated: &Propagated) -> Option<NewMask> {
+    if new_mask.region.iou(&propagated.whole) >= SAME_OUTLINE {
+        return Some(new_mask);
     }
-    let region = carried.cover.cut(&fresh.region)?;
-    (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
+    let region = propagated.occlusion.cut(&new_mask.region)?;
+    (2 * region.area() > new_mask.region.area()).then_some(NewMask { region, ..new_mask })
 }
 
-/// A new mask without what only another track carried here: the box of a car that passes a parked one holds both, and a
-/// network answers with both. `None` if that is most of it.
-fn own(fresh: Fresh, track_idx: usize, meeting: &Meeting) -> Option<Fresh> {
-    let carried = meeting.carried(track_idx)?;
-    let others = (0..meeting.predictions.len()).filter(|other| *other != track_idx);
+/// Removes pixels that only other tracks propagate here from a new mask; `None` if at most half remains.
+///
+/// The box of a car that passes a parked one contains both, and a network segments both.
+fn without_others(new_mask: NewMask, track_idx: usize, association: &FrameAssociation) -> Option<NewMask> {
+    let propagated = association.propagated(track_idx)?;
+    let others = (0..association.predictions.len()).filter(|other| *other != track_idx);
     let touching: Vec<&Region> = others
-        .filter_map(|other| Some(&meeting.carried(other)?.region))
-        .filter(|other| other.rect().iou(&fresh.region.rect()) > 0.0)
+        .filter_map(|other| Some(&association.propagated(other)?.region))
+        .filter(|other| other.rect().iou(&new_mask.region.rect()) > 0.0)
         .collect();
     let is_others = |x: u32, y: u32| touching.iter().any(|other| other.contains(x, y));
-    let region = fresh.region.filtered(|x, y| carried.region.contains(x, y) || !is_others(x, y))?;
-    (2 * region.area() > fresh.region.area()).then_some(Fresh { region, ..fresh })
+    let region = new_mask.region.filtered(|x, y| propagated.region.contains(x, y) || !is_others(x, y))?;
+    (2 * region.area() > new_mask.region.area()).then_some(NewMask { region, ..new_mask })
 }
 
 /// Returns true if the colors of a region match those of a track; unknown ones count as a match.
-fn looks_like(track: &Track, image: &RgbImage, region: &Region) -> bool {
-    let looks = track.appearance.as_ref().zip(Appearance::of(image, region));
-    looks.is_none_or(|(before, now)| before.similarity(&now) >= MIN_SIMILARITY)
+fn is_similar(track: &Track, image: &RgbImage, region: &Region) -> bool {
+    let appearances = track.appearance.as_ref().zip(Appearance::of(image, region));
+    appearances.is_none_or(|(before, now)| before.similarity(&now) >= MIN_SIMILARITY)
 }
 
-/// Returns true if a mask shows the object of another track.
-fn is_taken(region: &Region, seen: &[TrackObservation]) -> bool {
+/// Returns true if another track has this mask.
+fn is_taken(region: &Region, observations: &[TrackObservation]) -> bool {
     let same = |s: &TrackObservation| region.iou(&s.region) > 0.5 || region.covered_by(&s.region) > INSIDE;
-    seen.iter().any(same)
+    observations.iter().any(same)
 }
 
-/// Returns true if a mask shows part of a followed object, or contains one.
-fn is_explained(region: &Region, seen: &[TrackObservation]) -> bool {
+/// Returns true if a mask shows part of a tracked object, or contains one.
+fn is_explained(region: &Region, observations: &[TrackObservation]) -> bool {
     let known =
-        |s: &TrackObservation| region.covered_by(&s.region) > MAX_COVERED || s.region.covered_by(region) > SWALLOWED;
-    seen.iter().any(known)
+        |s: &TrackObservation| region.covered_by(&s.region) > MAX_COVERED || s.region.covered_by(region) > CONTAINED;
+    observations.iter().any(known)
 }

@@ -1,10 +1,10 @@
-//! Which pieces of tracks are one object that was hidden or out of the picture in between.
+//! Merging of track pieces of one object that was occluded or out of view in between.
 //!
-//! Two pieces may be one if the second begins after the first ends. What is known of such a pair is a
-//! [`IdentityEvidence`]: how far the second is from where the first leads, sizes, colours, and how many image points
-//! both show in the same arrangement ([`agreeing`]). [`same`] weighs it. A join that is wrong costs more than one that
-//! is missing, so that what is left open stays apart: where two pieces that are seen at the same time may both be the
-//! continuation, neither is ([`join`]).
+//! Two pieces may be one object if the second begins after the first ends. The evidence for such a pair is an
+//! [`IdentityEvidence`]: distance of the second from the prediction by the first, sizes, colors, and the number of
+//! image points that both show in the same arrangement ([`consistent_matches`]). [`identity_score`] weighs it. A wrong
+//! merge costs more than a missing one, so ambiguous pairs stay unmerged: where two pieces that are visible at the same
+//! time may both be the continuation, neither is merged ([`merge_tracks`]).
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ use super::track::compatible;
 use super::{MIN_SIMILARITY, SURE_SIMILARITY, TrackSummary};
 use crate::scene::{FrameId, Gap, IdentityEvidence, Mask};
 
-/// Two views of one object differ in size by no more than this factor, besides what the distance does.
+/// Maximum ratio of the sizes of two views of one object, beyond the effect of distance.
 const MAX_SIZE_RATIO: f64 = 2.5;
 
 /// Returns true if a ratio of areas or lengths may be that of two views of one object.
@@ -32,46 +32,46 @@ const MIN_POINTS: usize = 5;
 const MATCHES_PER_POINT: usize = 10;
 /// Number of common points below which two textured views show two objects.
 const FEW_POINTS: usize = 4;
-/// Maximum distance from the prediction, as a share of the tolerated one, of an identity by position and colors without
-/// enough points.
+/// Maximum distance from the prediction, as a share of the tolerated one, for an identity by position and colors
+/// without enough points.
 const SURE_PLACE: f64 = 0.5;
 /// Maximum gap of such an identity, seconds.
 const SURE_GAP_S: f64 = 1.5;
 /// Minimum difference of the scores of two continuations in the same frames.
 const MARGIN: f64 = 0.5;
 
-/// A piece of a track: the first and the last frame in which it is seen.
+/// First and last frame of a track piece.
 pub type Span = (FrameId, FrameId);
 
-/// Two pieces that may be one object.
+/// Two track pieces that may be one object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Pair {
-    /// Which piece comes first; an index.
+    /// Index of the earlier piece.
     pub before: usize,
-    /// Which comes later.
+    /// Index of the later piece.
     pub after: usize,
-    /// Time from the last sight of the one to the first of the other, seconds.
+    /// Time from the last observation of the one to the first of the other, seconds.
     pub gap_s: f64,
     /// Evidence that both are one object.
     pub evidence: IdentityEvidence,
-    /// The views show different sides of the vehicle, which have few points in common.
+    /// True if the views show different sides of the vehicle, which have few points in common.
     pub is_turned: bool,
 }
 
-/// Outcomes of all pairs.
+/// Decisions on all pairs.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Joints {
-    /// Pairs that are one object; no piece is twice the earlier or twice the later one.
-    pub joined: Vec<Pair>,
-    /// Pairs that stay apart, and why.
-    pub apart: Vec<(Pair, String)>,
+pub struct MergeDecisions {
+    /// Pairs that are one object; a piece is at most once the earlier and at most once the later one.
+    pub merged: Vec<Pair>,
+    /// Pairs that stay unmerged, with the reason.
+    pub unmerged: Vec<(Pair, String)>,
 }
 
-/// Score of two tracks being one object.
+/// Score of two pieces being one object.
 ///
 /// # Errors
-/// What speaks against it, in words.
-pub fn same(pair: &Pair) -> Result<f64, String> {
+/// The evidence against it, in words.
+pub fn identity_score(pair: &Pair) -> Result<f64, String> {
     let IdentityEvidence { place, colours, size, num_points, num_matches } = pair.evidence;
     let Some(place) = place else { return Err("its position cannot be predicted".to_owned()) };
     if place > 1.0 {
@@ -85,8 +85,8 @@ pub fn same(pair: &Pair) -> Result<f64, String> {
     let least = MIN_POINTS + num_matches.unwrap_or(0) / MATCHES_PER_POINT;
     match num_points {
         Some(points) if points >= least => {}
-        // Of a piece that is partly hidden to its end the size says nothing, its points do; the side of a vehicle is
-        // two to three times as large as its rear.
+        // The size of a piece that is partly occluded until its end is no evidence, its points are. The side of a
+        // vehicle is two to three times as large as its rear.
         _ if !pair.is_turned && size.is_some_and(|size| !is_same_size(size)) => return Err("different size".to_owned()),
         Some(points) if points < FEW_POINTS && !pair.is_turned => {
             return Err(format!("both are textured, but share only {points} points"));
@@ -98,59 +98,59 @@ pub fn same(pair: &Pair) -> Result<f64, String> {
     Ok((1.0 - place) + colours + points.min(2.0))
 }
 
-/// Decides which pairs are joined, the shortest gaps first.
+/// Decides which pairs are merged, the shortest gaps first.
 ///
 /// * `spans` – of the pieces that `pairs` names.
-pub fn join(spans: &[Span], pairs: &[Pair]) -> Joints {
-    let mut joints = Joints::default();
+pub fn merge_tracks(spans: &[Span], pairs: &[Pair]) -> MergeDecisions {
+    let mut decisions = MergeDecisions::default();
     let mut fit: Vec<(Pair, f64)> = Vec::new();
     for pair in pairs {
-        match same(pair) {
+        match identity_score(pair) {
             Ok(strength) => fit.push((*pair, strength)),
-            Err(reason) => joints.apart.push((*pair, reason)),
+            Err(reason) => decisions.unmerged.push((*pair, reason)),
         }
     }
     fit.sort_by(|(a, _), (b, _)| a.gap_s.total_cmp(&b.gap_s).then((a.before, a.after).cmp(&(b.before, b.after))));
     let (mut after, mut before): (BTreeMap<usize, usize>, BTreeMap<usize, usize>) = Default::default();
     for (pair, strength) in &fit {
         if after.contains_key(&pair.before) || before.contains_key(&pair.after) {
-            if joints.joined.iter().any(|other| is_rival(spans, pair, other)) {
-                joints.apart.push((*pair, "another object in the same frames fits better".to_owned()));
+            if decisions.merged.iter().any(|other| is_rival(spans, pair, other)) {
+                decisions.unmerged.push((*pair, "another object in the same frames fits better".to_owned()));
             }
             continue;
         }
         let rival = fit.iter().find(|(other, s)| is_rival(spans, pair, other) && *s > strength - MARGIN);
         if rival.is_some() {
-            joints.apart.push((*pair, "another object in the same frames fits equally well".to_owned()));
+            decisions.unmerged.push((*pair, "another object in the same frames fits equally well".to_owned()));
             continue;
         }
         after.insert(pair.before, pair.after);
         before.insert(pair.after, pair.before);
-        joints.joined.push(*pair);
+        decisions.merged.push(*pair);
     }
-    joints
+    decisions
 }
 
-/// Returns true if two pairs share one track, on the same side, and the others are visible at the same time.
+/// Returns true if two pairs share one piece, on the same side, and the others are visible at the same time.
 fn is_rival(spans: &[Span], a: &Pair, b: &Pair) -> bool {
-    let meet = |p: usize, q: usize| match (spans.get(p), spans.get(q)) {
+    let overlap = |p: usize, q: usize| match (spans.get(p), spans.get(q)) {
         (Some(p), Some(q)) => p.0 <= q.1 && q.0 <= p.1,
         _ => false,
     };
-    let forks = a.before == b.before && a.after != b.after && meet(a.after, b.after);
-    let merges = a.after == b.after && a.before != b.before && meet(a.before, b.before);
+    let forks = a.before == b.before && a.after != b.after && overlap(a.after, b.after);
+    let merges = a.after == b.after && a.before != b.before && overlap(a.before, b.before);
     forks || merges
 }
 
-/// Number of matches of two views that keep their arrangement: the most that one similarity explains.
+/// Maximum number of matches of two views that one similarity transform explains.
 ///
-/// Every pair of matches proposes one; the views of one object turn by less than 60° in the picture and change their
-/// size by less than a factor of 2.5. Matches made by chance do not agree.
+/// Every pair of matches proposes one. Views of one object rotate by less than 60° in the image and change their size
+/// by less than a factor of 2.5. Random matches do not agree.
 ///
 /// * `matches` – positions in the first and the second view, pixels.
-/// * `tolerance_px` – how far the second may be from where the first is taken.
-pub fn agreeing(matches: &[([f64; 2], [f64; 2])], tolerance_px: f64) -> usize {
-    // Bounds the cost, quadratic in the number.
+/// * `tolerance_px` – maximum residual in the second view.
+pub fn consistent_matches(matches: &[([f64; 2], [f64; 2])], tolerance_px: f64) -> usize {
+    // Bounds the cost, which is quadratic in the number.
     const MOST: usize = 120;
     let matches = &matches[..matches.len().min(MOST)];
     let mut most = usize::from(!matches.is_empty());
@@ -174,7 +174,7 @@ struct Similarity {
 }
 
 impl Similarity {
-    /// The one that takes two points to two others; `None` if they lie too close together or it is out of bounds.
+    /// Similarity that maps two points to two others; `None` if they are too close together or it is out of bounds.
     fn of(p: &([f64; 2], [f64; 2]), q: &([f64; 2], [f64; 2]), tolerance_px: f64) -> Option<Self> {
         let [u, v] = [q.0[0] - p.0[0], q.0[1] - p.0[1]];
         let [x, y] = [q.1[0] - p.1[0], q.1[1] - p.1[1]];
@@ -196,32 +196,32 @@ impl Similarity {
     }
 }
 
-/// The colours of a mask's pixels.
+/// Color histogram of a mask's pixels.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Colours(Appearance);
+pub struct Colors(Appearance);
 
-impl Colours {
-    /// Of the pixels in a mask of the image's size; `None` if they are too few to tell.
+impl Colors {
+    /// Histogram of the pixels in a mask; `None` with too few of them, or if mask and image differ in size.
     pub fn of(image: &RgbImage, mask: &Mask) -> Option<Self> {
         let region = Region::from_mask(mask).filter(|_| (mask.width(), mask.height()) == image.dimensions())?;
         Appearance::of(image, &region).map(Self)
     }
 
-    /// Bhattacharyya coefficient: 1 for equal shares of colours, 0 for none in common.
+    /// Bhattacharyya coefficient: 1 for equal histograms, 0 for disjoint ones.
     pub fn similarity(&self, other: &Self) -> f64 {
         self.0.similarity(&other.0).clamp(0.0, 1.0)
     }
 }
 
-/// Returns true if two objects may be one by their classes, as far as both were classified often enough.
-pub fn may_be_one(a: &TrackSummary, b: &TrackSummary) -> bool {
+/// Returns true if two objects may be one by their classes; a class counts only after enough detections.
+pub fn are_compatible(a: &TrackSummary, b: &TrackSummary) -> bool {
     let is_named = |summary: &TrackSummary| summary.found.by_detector() >= MIN_FRAMES;
     !(is_named(a) && is_named(b)) || compatible(&a.class, &b.class)
 }
 
 impl TrackSummary {
-    /// Summary of the object of which this and `later` are consecutive tracks.
-    pub fn joined(&self, later: &Self, gap: Gap) -> Self {
+    /// Summary of the object whose consecutive pieces are this one and `later`.
+    pub fn merged(&self, later: &Self, gap: Gap) -> Self {
         let mean = |a: (f64, usize), b: (f64, usize)| (a.0 * a.1 as f64 + b.0 * b.1 as f64) / (a.1 + b.1).max(1) as f64;
         let named = |track: &Self| track.found.by_detector();
         let votes = |track: &Self| track.class_confidence * named(track) as f64;
@@ -267,14 +267,14 @@ mod tests {
     };
 
     #[test]
-    fn a_class_that_was_named_once_separates_nothing() {
+    fn rarely_detected_class_separates_nothing() {
         let of = |class: &str, named: usize| {
             let found = DetectionCounts { detector: named, motion: 40, ..DetectionCounts::default() };
             TrackSummary { class: class.into(), ..summary(found, 0.5, 60) }
         };
-        assert!(may_be_one(&of("motorcycle", 1), &of("truck", 20)));
-        assert!(may_be_one(&of("car", 20), &of("truck", 20)));
-        assert!(!may_be_one(&of("motorcycle", 3), &of("truck", 20)));
+        assert!(are_compatible(&of("motorcycle", 1), &of("truck", 20)));
+        assert!(are_compatible(&of("car", 20), &of("truck", 20)));
+        assert!(!are_compatible(&of("motorcycle", 3), &of("truck", 20)));
     }
 
     fn pair(before: usize, after: usize, evidence: IdentityEvidence) -> Pair {
@@ -286,10 +286,10 @@ mod tests {
     }
 
     #[test]
-    fn each_kind_of_evidence_can_refuse() {
-        assert!(same(&pair(0, 1, SURE)).is_ok());
-        // Points in common outweigh the size of a piece that may be partly hidden.
-        assert!(same(&pair(0, 1, IdentityEvidence { size: Some(3.0), ..SURE })).is_ok());
+    fn each_kind_of_evidence_can_reject() {
+        assert!(identity_score(&pair(0, 1, SURE)).is_ok());
+        // Common points outweigh the size of a piece that may be partly occluded.
+        assert!(identity_score(&pair(0, 1, IdentityEvidence { size: Some(3.0), ..SURE })).is_ok());
         let refused = [
             (IdentityEvidence { place: Some(1.2), ..SURE }, "far"),
             (IdentityEvidence { place: None, ..SURE }, "cannot be predicted"),
@@ -300,54 +300,54 @@ mod tests {
             (IdentityEvidence { num_points: None, place: Some(0.8), ..SURE }, "conclusive"),
         ];
         for (evidence, why) in refused {
-            assert!(same(&pair(0, 1, evidence)).unwrap_err().contains(why), "{why}");
+            assert!(identity_score(&pair(0, 1, evidence)).unwrap_err().contains(why), "{why}");
         }
-        // Of its other side no points are expected.
+        // Views of different sides have no common points.
         let few = pair(0, 1, IdentityEvidence { num_points: Some(1), ..SURE });
-        assert!(same(&Pair { is_turned: true, ..few }).is_ok());
+        assert!(identity_score(&Pair { is_turned: true, ..few }).is_ok());
     }
 
     #[test]
-    fn place_and_colours_suffice_for_a_short_time() {
+    fn position_and_colors_suffice_for_a_short_gap() {
         let bare = IdentityEvidence { num_points: None, ..SURE };
-        assert!(same(&pair(0, 1, bare)).is_ok());
-        assert!(same(&Pair { gap_s: 2.0, ..pair(0, 1, bare) }).is_err());
+        assert!(identity_score(&pair(0, 1, bare)).is_ok());
+        assert!(identity_score(&Pair { gap_s: 2.0, ..pair(0, 1, bare) }).is_err());
     }
 
     #[test]
     fn pieces_of_one_object_form_a_chain() {
         let spans = spans(&[(0, 10), (20, 30), (40, 50)]);
         let pairs = [pair(0, 1, SURE), pair(1, 2, SURE), Pair { gap_s: 3.0, ..pair(0, 2, SURE) }];
-        let joints = join(&spans, &pairs);
-        let ids: Vec<(usize, usize)> = joints.joined.iter().map(|p| (p.before, p.after)).collect();
-        assert_eq!((ids, joints.apart.len()), (vec![(0, 1), (1, 2)], 0));
+        let decisions = merge_tracks(&spans, &pairs);
+        let ids: Vec<(usize, usize)> = decisions.merged.iter().map(|p| (p.before, p.after)).collect();
+        assert_eq!((ids, decisions.unmerged.len()), (vec![(0, 1), (1, 2)], 0));
     }
 
     #[test]
-    fn two_that_fit_equally_and_are_seen_together_are_not_joined() {
+    fn ambiguous_continuations_stay_unmerged() {
         let pairs = [pair(0, 1, SURE), pair(0, 2, IdentityEvidence { place: Some(0.3), ..SURE })];
-        let joints = join(&spans(&[(0, 10), (20, 30), (22, 30)]), &pairs);
-        assert_eq!((joints.joined.len(), joints.apart.len()), (0, 2));
-        // One for which clearly less speaks is no rival.
+        let decisions = merge_tracks(&spans(&[(0, 10), (20, 30), (22, 30)]), &pairs);
+        assert_eq!((decisions.merged.len(), decisions.unmerged.len()), (0, 2));
+        // A pair with a clearly lower score is no rival.
         let pairs = [pairs[0], pair(0, 2, IdentityEvidence { num_points: None, ..SURE })];
-        let joints = join(&spans(&[(0, 10), (20, 30), (22, 30)]), &pairs);
-        assert_eq!(joints.joined, [pairs[0]]);
-        assert_eq!(joints.apart.len(), 1);
+        let decisions = merge_tracks(&spans(&[(0, 10), (20, 30), (22, 30)]), &pairs);
+        assert_eq!(decisions.merged, [pairs[0]]);
+        assert_eq!(decisions.unmerged.len(), 1);
     }
 
     #[test]
-    fn points_of_one_surface_agree_and_chance_does_not() {
+    fn points_of_one_surface_are_consistent_and_random_ones_are_not() {
         let mut rng = seeded_rng(7, 0);
         let mut random = || [rng.random_range(0.0..100.0), rng.random_range(0.0..60.0)];
         let chance: Vec<_> = (0..60).map(|_| (random(), random())).collect();
         let least = MIN_POINTS + chance.len() / MATCHES_PER_POINT;
-        assert!(agreeing(&chance, 4.0) < least, "{}", agreeing(&chance, 4.0));
+        assert!(consistent_matches(&chance, 4.0) < least, "{}", consistent_matches(&chance, 4.0));
         let moved = |[x, y]: [f64; 2]| [40.0 + 1.2 * x - 0.3 * y, 10.0 + 0.3 * x + 1.2 * y];
         let surface: Vec<_> = (0..15).map(|_| random()).map(|from| (from, moved(from))).collect();
         let all: Vec<_> = chance.iter().chain(&surface).copied().collect();
-        assert!((15..20).contains(&agreeing(&all, 4.0)));
+        assert!((15..20).contains(&consistent_matches(&all, 4.0)));
         let mirrored: Vec<_> = (0..15).map(|_| random()).map(|[x, y]| ([x, y], [-x, y])).collect();
-        assert!(agreeing(&mirrored, 4.0) < MIN_POINTS + 1);
-        assert_eq!(agreeing(&[], 4.0), 0);
+        assert!(consistent_matches(&mirrored, 4.0) < MIN_POINTS + 1);
+        assert_eq!(consistent_matches(&[], 4.0), 0);
     }
 }

@@ -1,34 +1,36 @@
-//! Multi-object tracking of masks: which detection is which object.
+//! Multi-object tracking by masks: association of detections with objects.
 //!
-//! Input are boxes of a detector, of motion, or of both, and a [`BoxSegmenter`] that is asked for their masks in some
-//! frames. A segmentation network is a detector and a box segmenter that knows the answer
-//! ([`KnownMasks`](crate::networks::KnownMasks)). For every frame, after Bullinger et al., *Instance Flow Based Online
-//! Multiple Object Tracking*, 2017:
+//! Inputs are boxes of a detector, of motion detection, or of both, and a [`BoxSegmenter`] that is prompted for their
+//! masks in some frames. An instance segmentation network serves as detector and, by its
+//! [`KnownMasks`](crate::networks::KnownMasks), as box segmenter. Each frame is processed after Bullinger et al.,
+//! *Instance Flow Based Online Multiple Object Tracking*, 2017:
 //!
-//! - *Prediction* (`propagation.rs`): optical flow carries the mask of an object to the next frame. Pixels of occluders
-//!   are taken out of it (`occlusion.rs`); the outline of the whole object is carried, too, and its mask requested
-//!   until all of it is visible again.
-//! - *Boxes* of one frame that mean one object are joined (`box_groups.rs`). A box of motion that covers several
-//!   objects counts for each. Boxes without a track wait, moved by flow, until masks are requested.
-//! - *Segmentation* (`prompting.rs`): the mask of every box is requested, and of every carried mask that no box
-//!   repeats: a track lives on where the detector is blind.
-//! - *Association* (`boxes.rs`, `assignment.rs`): masks and boxes meet the tracks by overlap (Hungarian algorithm),
-//!   tracks of a part of a vehicle by the motion of the rest, lost ones by place and appearance.
-//! - *Update* (`choice.rs`, `track.rs`): of the new masks and the carried one an object gets the one that fits its
-//!   size, colours, place and box best. No two objects get the same. A mask may fail twice in a row; then the object
-//!   is lost once its mask is older than `MAX_CARRIED` frames. A new mask is carried back to the
-//!   frames that are nearer to it than to the last one (`retrace.rs`): [`Tracker::take_corrections`].
-//! - *Confirmation*: the third box gives an id, whenever it comes, if the object was never lost. Every mask is reported
-//!   at once under a provisional id; [`Tracker::finish`] relates them to objects.
-//! - *Loss and re-identification*: a lost object is not reported, and its place moves on with the background's flow
-//!   plus its own velocity. For a moment ([`Gap`]) it is found again by place and colours. Later, an object that
-//!   appears there is new and remembers its [`Predecessor`]; [`merging`] decides by more evidence.
+//! - *Prediction* (`propagation.rs`): optical flow propagates the mask of an object to the next frame. Pixels of
+//!   occluders are removed from it (`occlusion.rs`). The outline of the whole object is propagated as well, and
+//!   prompted until all of it is visible again.
+//! - *Box grouping* (`box_groups.rs`): boxes of one frame that show one object are merged. A motion box that covers
+//!   several objects counts for each. Boxes without a track are pending: flow moves them until the next frame with
+//!   segmentation.
+//! - *Segmentation* (`prompting.rs`): the segmenter is prompted with boxes, and with the boxes of propagated masks that
+//!   no other box repeats. Tracks thus survive where the detector fails.
+//! - *Association* (`boxes.rs`, `assignment.rs`): masks and boxes are assigned to tracks by overlap (Hungarian
+//!   algorithm), to a track of a part of a vehicle by the motion of the rest, to lost tracks by position and
+//!   appearance.
+//! - *Update* (`choice.rs`, `track.rs`): a track takes the mask, new or propagated, that agrees best with its size,
+//!   colors, position and box. No two tracks take the same mask. An object is lost after more than `MAX_FAILED_PROMPTS`
+//!   consecutive failed prompts, once its mask has been propagated for `MAX_PROPAGATED_FRAMES` frames. A new mask is
+//!   propagated back to the frames that are nearer to it than to the last one (`retrace.rs`):
+//!   [`Tracker::take_corrections`].
+//! - *Confirmation*: an object gets an id with its third box, at any time, unless it was lost before. Every mask is
+//!   reported at once under a provisional id; [`Tracker::finish`] maps provisional ids to objects.
+//! - *Loss and re-identification*: a lost object is not reported, and its predicted position moves with the
+//!   background's flow plus its own velocity. After a brief loss ([`Gap`]) it is re-detected by position and colors. An
+//!   object that appears there later is a new one with a [`Predecessor`]; [`merging`] decides by more evidence.
 //!
-//! Objects that were found late are followed back in time when all frames are through ([`BackwardTracker`]);
-//! [`support`] says which objects are vehicles enough for a trajectory.
+//! After the last frame, objects are tracked backward from their first masks ([`BackwardTracker`]). [`support`] decides
+//! which objects have enough evidence of being vehicles for a trajectory.
 //!
-//! The tracker is a plain function of its inputs: fed again with the detections that a killed run left behind, it gives
-//! the same ids.
+//! The tracker is a pure function of its inputs: with the detections of an interrupted run it gives the same ids.
 
 mod affine;
 mod appearance;
@@ -71,23 +73,23 @@ use crate::scene::{
 pub struct FrameInput<'a> {
     /// Boxes of a detector, of motion, or of both; may be empty.
     pub found: Vec<DetectedBox>,
-    /// Who looked for them.
+    /// Sources of boxes that ran on the frame.
     pub by: BoxSource,
-    /// Whom to ask for the masks of boxes; `None` where masks are carried from earlier frames.
-    pub prompter: Option<&'a mut dyn BoxSegmenter>,
+    /// Segmenter to prompt for the masks of boxes; `None` where masks are only propagated.
+    pub segmenter: Option<&'a mut dyn BoxSegmenter>,
 }
 
-/// A box that was found in a frame.
+/// Box detected in a frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DetectedBox {
     /// Detection, with its source.
     pub found: BoxDetection,
-    /// True if its points show that it is stationary ([`shows_standing`](crate::motion::shows_standing)).
-    pub stands: bool,
+    /// True if its points show that it is stationary ([`shows_stationary`](crate::motion::shows_stationary)).
+    pub is_stationary: bool,
 }
 
 impl DetectedBox {
-    /// The boxes of masks that a segmentation network found; empty masks have none.
+    /// Bounding boxes of the masks of a segmentation network; empty masks are skipped.
     pub fn of_masks(detections: &[Detection]) -> Vec<Self> {
         let of_mask = |found: &Detection| {
             let rect = found.mask.bounding_box()?.into();
@@ -99,28 +101,27 @@ impl DetectedBox {
 }
 
 impl From<BoxDetection> for DetectedBox {
-    /// A box of which no points say anything.
+    /// Box without evidence from points: not stationary.
     fn from(found: BoxDetection) -> Self {
-        Self { found, stands: false }
+        Self { found, is_stationary: false }
     }
 }
 
-/// Boxes of a detector that started no track, since they show something that stands
-/// ([`TrackerOptions::start_standing`]).
+/// Detector boxes that start no track: stationary, with too low a confidence ([`TrackerOptions::start_standing`]).
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct IgnoredBoxes {
-    /// Number of them, in the frames in which masks are segmented.
+    /// Number of such boxes in frames with segmentation.
     pub num_boxes: usize,
     /// Maximum confidence of the detector, 0 to 1.
     pub max_confidence: f64,
 }
 
-/// Who looked for boxes in a frame.
+/// Sources of boxes that ran on a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum BoxSource {
-    /// The detector, and motion besides.
+    /// Detector and motion detection.
     Detector,
-    /// Motion alone: the detector passed the frame over.
+    /// Motion detection only.
     Motion,
 }
 
@@ -128,24 +129,24 @@ pub enum BoxSource {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Evidence {
-    /// A box of this frame agrees with the mask, which may be carried.
+    /// A box of this frame matches the mask, which is new or propagated.
     Detected {
         /// The model's score, 0 to 1.
         confidence: f64,
     },
-    /// A mask asked for in the place to which that of an earlier frame was carried; no box of this frame shows it.
+    /// New mask, prompted at the position of the propagated one; no box of this frame shows the object.
     Prompted {
         /// Mask quality by the segmenter's own estimate, 0 to 1.
         quality: f64,
     },
-    /// The mask of an earlier frame, carried by optical flow.
+    /// Mask of an earlier frame, propagated by optical flow.
     Carried,
 }
 
-/// Where an object is in one frame.
+/// Mask of an object in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct TrackedMask {
-    /// Provisional id; [`TrackSummary::provisional`] joins it to the lasting one.
+    /// Provisional id; [`TrackSummary::provisional`] maps it to the final one.
     pub object: ObjectId,
     /// Its pixels; the masks of one frame do not overlap.
     pub mask: Mask,
@@ -153,61 +154,61 @@ pub struct TrackedMask {
     pub evidence: Evidence,
 }
 
-/// An object that has a lasting id, while it is followed.
+/// Confirmed object that is still tracked.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConfirmedObject<'a> {
-    /// Lasting id.
+    /// Final id.
     pub id: ObjectId,
-    /// The id under which [`Tracker::advance`] reports its masks.
+    /// Id under which [`Tracker::advance`] reports its masks.
     pub provisional: ObjectId,
-    /// The class that its detections name most so far.
+    /// Class with the most votes of its detections so far.
     pub class: &'a str,
     /// Mean confidence of its detections, 0 to 1.
     pub confidence: f64,
-    /// The object that was lost where this one came up, if it may be the same.
+    /// Object that was lost where this one appeared, if both may be the same.
     pub after: Option<Predecessor>,
 }
 
 /// Summary of an object over all frames.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TrackSummary {
-    /// Lasting id: dense from 1 in the order in which the objects were confirmed.
+    /// Final id: dense from 1 in the order of confirmation.
     pub id: ObjectId,
-    /// The id under which [`Tracker::advance`] reported its masks.
+    /// Id under which [`Tracker::advance`] reported its masks.
     pub provisional: ObjectId,
-    /// The class that its detections name most, weighed by their confidence.
+    /// Class with the most votes of its detections, weighted by their confidence.
     pub class: String,
     /// Mean confidence of its detections.
     pub confidence: f64,
-    /// The first frame in which it was detected.
+    /// First frame with a mask.
     pub first: FrameId,
-    /// The last frame in which it was detected, or in which its mask was renewed or not yet due. Masks carried beyond
-    /// it are guesses without confirmation: drop them.
+    /// Last frame with a new mask, or with one propagated from it before a prompt failed. Masks propagated beyond it
+    /// are unconfirmed: drop them.
     pub last: FrameId,
-    /// Frames between `first` and `last` with a carried mask.
+    /// Number of frames between `first` and `last` with a propagated mask.
     pub num_carried: usize,
-    /// Sources of its detections.
+    /// Number of its detections by source.
     pub found: DetectionCounts,
-    /// Frames of its life that somebody looked at.
+    /// Number of frames of its life that were searched for objects.
     pub num_looks: usize,
-    /// Those at which the detector looked.
+    /// Number of those in which the detector ran.
     pub num_detector_looks: usize,
     /// Mean confidence of the detector's boxes, 0 to 1; 0 if there is none.
     pub class_confidence: f64,
-    /// Mean quality of the requested masks, 0 to 1 (1 for [`KnownMasks`](crate::networks::KnownMasks)).
+    /// Mean quality of the prompted masks, 0 to 1 (1 for [`KnownMasks`](crate::networks::KnownMasks)).
     pub mask_quality: Option<f64>,
     /// Quality of its outlines.
     pub outline: Outline,
-    /// Where it was lost for a moment and found again, ascending.
+    /// Brief losses that ended with a re-detection, ascending.
     pub gaps: Vec<Gap>,
-    /// The object that was lost for longer where this one came up, if it may be the same.
+    /// Object that was lost for longer where this one appeared, if both may be the same.
     pub after: Option<Predecessor>,
 }
 
 /// Track that an object may continue.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Predecessor {
-    /// Provisional id of the one that was lost.
+    /// Provisional id of the lost object.
     pub provisional: ObjectId,
     /// Evidence that both are one object, from the images alone.
     pub evidence: IdentityEvidence,
@@ -219,35 +220,37 @@ pub struct Predecessor {
 pub struct TrackerOptions {
     /// Classes that are tracked; other detections are only kept out of the background.
     pub track_classes: Vec<String>,
-    /// A track starts with a detection of at least this confidence; weaker ones only continue tracks.
+    /// Minimum confidence of a detection that starts a track; weaker ones only continue tracks.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub start_confidence: f64,
-    /// The same for what stands by the points in its box. What is named less surely gets no trajectory if it goes on
-    /// standing, and a mask for nothing; when it drives off, motion finds it, and it is followed back from there.
+    /// The same for an object that is stationary by the points in its box. A less certain one gets no trajectory while
+    /// it stays stationary, so its masks are not needed. When it drives off, motion detection finds it, and it is
+    /// tracked backward.
     #[schemars(extend("unit" = "score, 0 to 1"))]
     pub start_standing: f64,
-    /// A track starts with what only moves if motion is at least so sure of it: trees, poles and reflections move, too.
+    /// Minimum confidence of motion detection to start a track without a detector: trees, poles and reflections move,
+    /// too.
     #[schemars(extend("unit" = "0 to 1"))]
     pub start_motion: f64,
-    /// Overlap (intersection over union) that a detection must have with the carried mask of its object.
+    /// Minimum overlap (intersection over union) of a detection with the propagated mask of its object.
     #[schemars(extend("unit" = "share"))]
     pub min_overlap: f64,
-    /// Detections that give an object its lasting id.
+    /// Number of detections that confirm an object.
     #[schemars(extend("unit" = "detections"))]
     pub min_detections: usize,
-    /// Seconds for which the mask of what stands serves before a new one is asked for; at 0 it is asked for as often as
-    /// those of all others.
+    /// Maximum time for which the mask of a stationary object is reused, seconds; at 0 such objects are prompted as
+    /// often as all others.
     pub max_rest_secs: f64,
 }
 
-/// Detections with fewer pixels are skipped.
+/// Minimum number of pixels of a mask; smaller ones are skipped.
 const MIN_AREA_PX2: usize = 40;
-/// Similarity of colours (Bhattacharyya coefficient) that two views of one object have at least.
+/// Minimum similarity of colors (Bhattacharyya coefficient) of two views of one object.
 const MIN_SIMILARITY: f64 = 0.6;
-/// Similarity of colours from which they count as evidence.
+/// Similarity of colors from which they are evidence of identity.
 const SURE_SIMILARITY: f64 = 0.8;
 
-/// Vehicles, in the words of COCO, Cityscapes and the common drone data sets.
+/// Vehicle classes of COCO, Cityscapes and the common drone data sets.
 const VEHICLES: &str = "car truck bus van motorcycle motor motorbike trailer caravan vehicle tricycle awning-tricycle";
 
 impl Default for TrackerOptions {
@@ -255,7 +258,7 @@ impl Default for TrackerOptions {
         Self {
             track_classes: VEHICLES.split(' ').map(str::to_owned).collect(),
             start_confidence: 0.35,
-            start_standing: support::SURE_OF_STANDING,
+            start_standing: support::MIN_STATIONARY_CONFIDENCE,
             start_motion: 0.85,
             min_overlap: 0.2,
             min_detections: 3,
@@ -265,7 +268,7 @@ impl Default for TrackerOptions {
 }
 
 impl TrackerOptions {
-    /// Refuses values that make no sense.
+    /// Rejects values out of range.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.

@@ -1,71 +1,72 @@
-//! Carrying a mask to the next frame by optical flow.
+//! Propagation of masks to the next frame by optical flow.
 
 use super::affine::{Affine, length};
-use super::occlusion::{Cover, Moved, Pictures};
+use super::occlusion::{ImagePair, Occlusion, PropagatedObject};
 use super::region::Region;
 use crate::math::upper_median;
 use crate::scene::{BoundingBox, Flow, Mask, Rect};
 
-/// A region carried to the next frame.
+/// Object propagated to the next frame.
 #[derive(Clone, Debug)]
 pub(super) struct Propagated {
-    /// Where its visible pixels are now, holes closed.
+    /// Its visible pixels, holes closed.
     pub(super) region: Region,
-    /// The outline of the whole object, whatever hides a part of it.
+    /// Its whole outline, including occluded parts.
     pub(super) whole: Region,
     /// Occluded part.
-    pub(super) cover: Cover,
+    pub(super) occlusion: Occlusion,
     /// Median displacement, pixels.
     pub(super) displacement: [f64; 2],
-    /// Share of its pixels whose flow was of use.
-    pub(super) share: f64,
-    /// Motion from the frame before.
+    /// Share of its visible pixels whose flow is an inlier.
+    pub(super) inlier_ratio: f64,
+    /// Motion from the previous frame.
     pub(super) motion: Affine,
 }
 
 impl Propagated {
-    /// Share of the outline below which an object is partly hidden.
-    const MOSTLY_SEEN: f64 = 0.9;
+    /// Visible share of the outline below which an object is partly occluded.
+    const MOSTLY_VISIBLE: f64 = 0.9;
     /// Minimum visible share of an object that is mostly occluded.
-    const LEAST_SEEN: f64 = 0.06;
+    const MIN_VISIBLE_SHARE: f64 = 0.06;
 
-    pub(super) fn is_partly_hidden(&self) -> bool {
-        self.seen_share() < Self::MOSTLY_SEEN
+    pub(super) fn is_partly_occluded(&self) -> bool {
+        self.visible_share() < Self::MOSTLY_VISIBLE
     }
 
-    pub(super) fn is_nearly_hidden(&self) -> bool {
-        self.seen_share() < Self::LEAST_SEEN
+    pub(super) fn is_nearly_occluded(&self) -> bool {
+        self.visible_share() < Self::MIN_VISIBLE_SHARE
     }
 
-    fn seen_share(&self) -> f64 {
+    fn visible_share(&self) -> f64 {
         self.region.area() as f64 / self.whole.area().max(1) as f64
     }
 }
 
-/// Pixels whose flow is this much off the object's median belong to something else: the mask's rim, or an occluder.
-const MAX_DEVIATION_PX: f64 = 3.0;
-/// The same in units of the object's own spread of flow, for large objects that come nearer or turn.
-const MAX_DEVIATION_SPREADS: f64 = 4.0;
+/// Maximum residual of an inlier's flow from the object's median, pixels: other pixels belong to the mask's rim or to
+/// an occluder.
+const MAX_RESIDUAL_PX: f64 = 3.0;
+/// The same in multiples of the object's own spread of flow, for large objects that approach or turn.
+const MAX_RESIDUAL_SPREADS: f64 = 4.0;
 
-/// Pixels of a region that move with it.
-struct Moving {
+/// Inliers of the flow in a region.
+struct FlowInliers {
     pixels: Vec<(u32, u32)>,
     /// Median displacement, pixels.
     displacement: [f64; 2],
 }
 
-/// The pixels of a region whose flow is consistent and that of the whole; `None` if there is none.
-fn moving(region: &Region, flow: &Flow) -> Option<Moving> {
+/// Pixels of a region whose flow is consistent and close to the median; `None` if there are none.
+fn flow_inliers(region: &Region, flow: &Flow) -> Option<FlowInliers> {
     let consistent: Vec<(u32, u32)> = region.iter().filter(|&(x, y)| flow.is_consistent(x, y)).collect();
     let displacement = median_flow(&consistent, flow)?;
-    let deviation = |x: u32, y: u32| {
+    let residual = |x: u32, y: u32| {
         let d = flow.at(x, y);
         length([f64::from(d[0]) - displacement[0], f64::from(d[1]) - displacement[1]])
     };
-    let spread = upper_median(consistent.iter().map(|&(x, y)| deviation(x, y)).collect())?;
-    let limit = MAX_DEVIATION_PX.max(MAX_DEVIATION_SPREADS * spread);
-    let pixels = consistent.into_iter().filter(|&(x, y)| deviation(x, y) <= limit).collect();
-    Some(Moving { pixels, displacement })
+    let spread = upper_median(consistent.iter().map(|&(x, y)| residual(x, y)).collect())?;
+    let limit = MAX_RESIDUAL_PX.max(MAX_RESIDUAL_SPREADS * spread);
+    let pixels = consistent.into_iter().filter(|&(x, y)| residual(x, y) <= limit).collect();
+    Some(FlowInliers { pixels, displacement })
 }
 
 /// Component-wise median of the flow at some pixels; `None` without any.
@@ -74,47 +75,49 @@ fn median_flow(pixels: &[(u32, u32)], flow: &Flow) -> Option<[f64; 2]> {
     Some([median(0)?, median(1)?])
 }
 
-/// An object as it was in the frame before.
+/// Object in the previous frame.
 pub(super) struct PreviousObject<'a> {
     /// Its visible pixels.
     pub(super) region: &'a Region,
-    /// The outline of all of it.
+    /// Its whole outline.
     pub(super) whole: &'a Region,
-    /// Part that was occluded.
-    pub(super) cover: &'a Cover,
+    /// Its occluded part.
+    pub(super) occlusion: &'a Occlusion,
 }
 
-/// Carries a region as a whole, by the affine motion that fits the consistent flow of its pixels best; `None` if no
-/// flow in it is of use or it left the frame.
+/// Propagates an object by the affine motion that best fits the consistent flow of its pixels.
 ///
-/// Flow is smooth across outlines, so that a mask whose pixels are carried one by one loses its rim: on rendered
-/// sequences a tenth to a quarter of its overlap with the truth in one frame. A vehicle is rigid and its outline moves
-/// with its inside.
+/// `None` if no flow in it is usable or if it leaves the frame.
 ///
-/// * `pictures` – the frame before and this one; without them nothing is seen to come before the object.
-pub(super) fn carry_whole(
+/// Flow is smooth across outlines, so that a mask whose pixels are propagated one by one loses its rim: on rendered
+/// sequences a tenth to a quarter of its overlap with the truth in one frame. A vehicle is rigid, and its outline moves
+/// with its interior.
+///
+/// * `images` – of the previous frame and this one; without them no occlusion is detected.
+pub(super) fn propagate_object(
     object: &PreviousObject<'_>,
     flow: &Flow,
-    pictures: Option<Pictures<'_>>,
+    images: Option<ImagePair<'_>>,
 ) -> Option<Propagated> {
-    let moving = moving(object.region, flow)?;
-    let displacement = moving.displacement;
-    let motion = Affine::fit(&moving.pixels, flow).unwrap_or_else(|| Affine::shift(displacement));
-    let carried = motion.apply(object.region)?;
-    let whole = motion.apply(object.whole).unwrap_or_else(|| carried.clone());
-    let moved = Moved { before: object.region, visible: &carried, whole: &whole, motion: &motion };
-    let cover = pictures.map(|pictures| object.cover.advance(&moved, flow, pictures)).unwrap_or_default();
-    let region = cover.cut(&carried)?;
-    // What is hidden now has no flow of use, and none is asked of it.
-    let hidden = 1.0 - region.area() as f64 / carried.area() as f64;
-    let share = moving.pixels.len() as f64 / (object.region.area() as f64 * (1.0 - hidden)).max(1.0);
-    Some(Propagated { region, whole, cover, displacement, share: share.min(1.0), motion })
+    let inliers = flow_inliers(object.region, flow)?;
+    let displacement = inliers.displacement;
+    let motion = Affine::fit(&inliers.pixels, flow).unwrap_or_else(|| Affine::shift(displacement));
+    let propagated = motion.apply(object.region)?;
+    let whole = motion.apply(object.whole).unwrap_or_else(|| propagated.clone());
+    let moved = PropagatedObject { before: object.region, visible: &propagated, whole: &whole, motion: &motion };
+    let occlusion = images.map(|images| object.occlusion.advance(&moved, flow, images)).unwrap_or_default();
+    let region = occlusion.cut(&propagated)?;
+    // Newly occluded pixels have no usable flow, and none is required.
+    let occluded = 1.0 - region.area() as f64 / propagated.area() as f64;
+    let inlier_ratio = inliers.pixels.len() as f64 / (object.region.area() as f64 * (1.0 - occluded)).max(1.0);
+    Some(Propagated { region, whole, occlusion, displacement, inlier_ratio: inlier_ratio.min(1.0), motion })
 }
 
-/// Background motion round a box: the median flow of the ring round it, without pixels that `occupied` assigns to an
-/// object. `None` where too few pixels remain.
+/// Background motion around a box: the median flow of the ring around it.
+///
+/// Pixels that `occupied` assigns to an object do not count. `None` where too few remain.
 pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied: &Mask) -> Option<[f64; 2]> {
-    /// Pixels needed for a median that means something.
+    /// Minimum number of pixels for a meaningful median.
     const MIN_SAMPLES: usize = 12;
     /// Samples along the longer side of the ring.
     const GRID: u32 = 24;
@@ -127,22 +130,24 @@ pub(super) fn background_displacement(flow: &Flow, bounds: BoundingBox, occupied
     median_flow(&samples, flow).filter(|_| samples.len() >= MIN_SAMPLES)
 }
 
-/// A box moved by the median flow of its middle; `None` if it leaves the frame, unmoved where no flow is of use.
-pub(super) fn carry_rect(rect: &Rect, flow: &Flow) -> Option<Rect> {
-    let [dx, dy] = median_flow(&middle(rect, flow), flow).unwrap_or_default();
+/// Moves a box by the median flow at its center; `None` if it leaves the frame.
+///
+/// Without usable flow the box is not moved.
+pub(super) fn propagate_rect(rect: &Rect, flow: &Flow) -> Option<Rect> {
+    let [dx, dy] = median_flow(&central_pixels(rect, flow), flow).unwrap_or_default();
     let moved = rect.moved([dx, dy]).clipped(flow.width, flow.height);
     (moved.area_px2() >= 1.0).then_some(moved)
 }
 
-/// Median flow of the middle of a box outside a region, pixels; `None` where no flow there is of use.
+/// Median flow at the center of a box outside a region, pixels; `None` without usable flow.
 pub(super) fn displacement_outside(region: &Region, rect: &Rect, flow: &Flow) -> Option<[f64; 2]> {
-    let outside = middle(rect, flow).into_iter().filter(|&(x, y)| !region.contains(x, y));
+    let outside = central_pixels(rect, flow).into_iter().filter(|&(x, y)| !region.contains(x, y));
     median_flow(&outside.collect::<Vec<_>>(), flow)
 }
 
-/// Pixels on a grid over the middle of a box, half as wide and high, whose flow is consistent.
-fn middle(rect: &Rect, flow: &Flow) -> Vec<(u32, u32)> {
-    /// Samples along each side of the middle.
+/// Grid pixels with consistent flow in the center of a box, half as wide and high.
+fn central_pixels(rect: &Rect, flow: &Flow) -> Vec<(u32, u32)> {
+    /// Samples along each side of the center.
     const GRID: u32 = 12;
     let at = |from: f64, length: f64, i: u32| from + length * (0.25 + 0.5 * (f64::from(i) + 0.5) / f64::from(GRID));
     let mut samples: Vec<(u32, u32)> = Vec::new();
@@ -172,7 +177,7 @@ mod tests {
     }
 
     fn whole(region: &Region, flow: &Flow) -> Option<Propagated> {
-        carry_whole(&PreviousObject { region, whole: region, cover: &Cover::default() }, flow, None)
+        propagate_object(&PreviousObject { region, whole: region, occlusion: &Occlusion::default() }, flow, None)
     }
 
     fn block(x: u32, y: u32, w: u32, h: u32) -> Region {
@@ -181,12 +186,12 @@ mod tests {
 
     #[test]
     fn a_whole_region_keeps_its_rim_where_flow_fails() {
-        // The rim follows the background, as dense flow has it.
+        // The rim follows the background, as in dense flow.
         let rim = |x: u32, y: u32| !(13..29).contains(&x) || !(13..29).contains(&y);
         let field = flow(60, 40, |x, y| Some(if rim(x, y) { [0.0, 0.0] } else { [5.0, -2.0] }));
-        let carried = whole(&block(10, 10, 22, 22), &field).unwrap();
-        assert_eq!(carried.region, block(15, 8, 22, 22));
-        assert!((carried.share - 256.0 / 484.0).abs() < 1e-12);
+        let propagated = whole(&block(10, 10, 22, 22), &field).unwrap();
+        assert_eq!(propagated.region, block(15, 8, 22, 22));
+        assert!((propagated.inlier_ratio - 256.0 / 484.0).abs() < 1e-12);
         let growing = flow(60, 40, |x, y| Some([(x as f32 - 20.5) * 0.1, (y as f32 - 20.5) * 0.1]));
         let grown = whole(&block(11, 11, 20, 20), &growing).unwrap();
         assert_eq!(grown.region, block(10, 10, 22, 22));
@@ -196,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn motions_one_after_the_other_are_one_and_lead_back() {
+    fn motions_compose_and_invert() {
         let first = Affine { origin: [20.0, 15.0], rows: [[24.0, 1.1, 0.1], [14.0, -0.05, 1.0]] };
         let second = Affine { origin: [10.0, 5.0], rows: [[8.0, 0.9, 0.0], [6.5, 0.02, 1.05]] };
         let both = first.then(&second);
@@ -207,12 +212,12 @@ mod tests {
         let region = block(20, 10, 20, 12);
         let there = both.apply(&region).unwrap();
         assert!(there.iou(&region) < 0.9);
-        assert!(both.pulled(&there).unwrap().iou(&region) > 0.9);
-        assert_eq!(Affine::shift([5.0, -2.0]).pulled(&block(15, 8, 9, 9)), Some(block(10, 10, 9, 9)));
+        assert!(both.apply_inverse(&there).unwrap().iou(&region) > 0.9);
+        assert_eq!(Affine::shift([5.0, -2.0]).apply_inverse(&block(15, 8, 9, 9)), Some(block(10, 10, 9, 9)));
     }
 
     #[test]
-    fn the_background_is_what_no_object_occupies() {
+    fn background_motion_excludes_objects() {
         let object = block(20, 10, 12, 12);
         let field = flow(60, 40, |x, y| Some(if object.contains(x, y) { [9.0, 9.0] } else { [1.0, 2.0] }));
         let occupied = object.mask();

@@ -1,4 +1,4 @@
-//! A mask with its bounding box and area: objects are compared in pairs.
+//! Mask with its bounding box and area, for comparing objects in pairs.
 
 use super::affine::Affine;
 use crate::scene::{BoundingBox, Mask, Rect};
@@ -13,14 +13,14 @@ pub(super) struct Region {
 }
 
 impl Region {
-    /// The set pixels of a mask; `None` if there is none.
+    /// The set pixels of a mask; `None` if there are none.
     pub(super) fn from_mask(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
         let mask = Mask::from_window((mask.width(), mask.height()), bounds, mask.pixels_in(bounds));
         Some(Self { bounds, area: mask.area_px2(), mask })
     }
 
-    /// The pixels of `window` at which `inside(x, y)` holds; `None` if there is none.
+    /// Pixels of `window` for which `inside(x, y)` holds; `None` if there are none.
     pub(super) fn in_window(
         frame: (u32, u32),
         window: BoundingBox,
@@ -68,7 +68,7 @@ impl Region {
         both as f64 / (self.area + other.area - both) as f64
     }
 
-    /// Share of this region that lies in another.
+    /// Share of this region that is inside another.
     pub(super) fn covered_by(&self, other: &Self) -> f64 {
         self.mask.intersection_px2(&other.mask) as f64 / self.area as f64
     }
@@ -78,7 +78,7 @@ impl Region {
         Affine::shift([dx.round(), dy.round()]).apply(self)
     }
 
-    /// The pixels for which `keep(x, y)` holds; `None` if there is none.
+    /// Pixels for which `keep(x, y)` holds; `None` if there are none.
     pub(super) fn filtered(&self, mut keep: impl FnMut(u32, u32) -> bool) -> Option<Self> {
         let frame = (self.mask.width(), self.mask.height());
         Self::in_window(frame, self.bounds, |x, y| self.contains(x, y) && keep(x, y))

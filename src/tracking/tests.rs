@@ -1,4 +1,4 @@
-//! Tests of objects in a flat world with exact masks and flow.
+//! Tracking tests in a synthetic 2D scene with exact masks and flow.
 
 use super::world::{HEIGHT, Thing, WIDTH, World};
 use super::*;
@@ -12,7 +12,7 @@ fn all(_: usize, detections: Vec<Detection>) -> Vec<Detection> {
     detections
 }
 
-/// The provisional id whose mask overlaps a thing best in a frame, if it overlaps by more than half.
+/// Provisional id of the mask that overlaps a thing best in a frame, by more than half.
 fn follower(world: &World, frames: &[Vec<TrackedMask>], t: usize, thing: usize) -> Option<ObjectId> {
     let truth = world.mask(t, thing);
     frames[t].iter().find(|m| m.mask.iou(&truth) > 0.5).map(|m| m.object)
@@ -32,24 +32,24 @@ fn a_car_gets_one_id_from_its_first_frame() {
 }
 
 #[test]
-fn two_cars_of_one_colour_cross_and_keep_their_ids() {
-    for colour in [RED, BLUE] {
+fn two_cars_of_one_color_cross_and_keep_their_ids() {
+    for color in [RED, BLUE] {
         let world = World::still(vec![
             Thing::car(RED, |t| (5 + 7 * t as i64, 30)),
-            Thing::car(colour, |t| (170 - 7 * t as i64, 33)),
+            Thing::car(color, |t| (170 - 7 * t as i64, 33)),
         ]);
         let (frames, tracks) = world.track(23, all);
         assert_eq!(tracks.len(), 2, "{tracks:#?}");
         for thing in 0..2 {
             let before = follower(&world, &frames, 2, thing);
             assert!(before.is_some());
-            assert_eq!(before, follower(&world, &frames, 22, thing), "thing {thing} in colour {colour:?}");
+            assert_eq!(before, follower(&world, &frames, 22, thing), "thing {thing} in colour {color:?}");
         }
     }
 }
 
 #[test]
-fn missed_detections_are_bridged_by_the_carried_mask() {
+fn missed_detections_are_bridged_by_the_propagated_mask() {
     let world = World::still(vec![Thing::car(RED, |t| (10 + 5 * t as i64, 30))]);
     let (frames, tracks) = world.track(20, |t, found| if (8..13).contains(&t) { Vec::new() } else { found });
     assert_eq!((tracks.len(), tracks[0].found.detected(), tracks[0].num_carried), (1, 15, 5));
@@ -61,23 +61,23 @@ fn missed_detections_are_bridged_by_the_carried_mask() {
 }
 
 #[test]
-fn an_occluded_car_is_found_again_behind_the_wall() {
-    // Behind the wall for about ten frames, longer than masks are carried.
+fn an_occluded_car_is_linked_after_the_wall() {
+    // Occluded for about ten frames, longer than masks are propagated.
     let world = World::still(vec![Thing::car(RED, |t| (5 + 5 * t as i64, 30)), Thing::wall(60, 60)]);
     let (frames, tracks) = world.track(32, all);
     let [before, after] = &tracks[..] else { panic!("two pieces: {tracks:#?}") };
     assert_eq!(after.after.map(|after| after.provisional), Some(before.provisional));
     let ids = [3, 31].map(|t| follower(&world, &frames, t, 0));
     assert_eq!(ids, [Some(before.provisional), Some(after.provisional)]);
-    // Nothing is reported while the car cannot be seen.
-    let hidden = (0..32).filter(|&t| world.mask(t, 0).area_px2() == 0);
-    assert!(hidden.clone().count() >= 6);
-    assert!(hidden.into_iter().all(|t| frames[t].is_empty()));
+    // Nothing is reported while the car is occluded.
+    let occluded = (0..32).filter(|&t| world.mask(t, 0).area_px2() == 0);
+    assert!(occluded.clone().count() >= 6);
+    assert!(occluded.into_iter().all(|t| frames[t].is_empty()));
 }
 
 #[test]
-fn it_is_found_again_when_the_camera_pans_meanwhile() {
-    // In the frame the car stands still while the background runs past it.
+fn an_occluded_car_is_linked_while_the_camera_pans() {
+    // The car does not move in the image while the background moves past it.
     let mut wall = Thing::wall(120, 30);
     wall.at = Box::new(|t| (120 - 4 * t as i64, 0));
     let world = World { things: vec![Thing::car(RED, |_| (60, 30)), wall], pan: (-4, 0) };
@@ -89,7 +89,7 @@ fn it_is_found_again_when_the_camera_pans_meanwhile() {
 }
 
 #[test]
-fn a_moment_behind_a_post_is_a_gap_of_one_object() {
+fn a_brief_occlusion_is_a_gap_of_one_object() {
     let world = World::still(vec![Thing::car(RED, |t| (5 + 8 * t as i64, 30)), Thing::wall(80, 30)]);
     let (_, tracks) = world.track(22, all);
     let [track] = &tracks[..] else { panic!("one object: {tracks:#?}") };
@@ -111,7 +111,7 @@ fn another_car_from_behind_the_wall_is_another_object() {
 }
 
 #[test]
-fn a_car_that_stops_and_starts_stays_itself() {
+fn a_car_that_stops_and_starts_keeps_its_id() {
     let world = World::still(vec![Thing::car(RED, |t| (10 + 6 * (t.min(8) + t.saturating_sub(28)) as i64, 30))]);
     let (_, tracks) = world.track(40, all);
     assert_eq!((tracks.len(), tracks[0].found.detected()), (1, 40));
@@ -130,7 +130,7 @@ fn one_leaves_and_another_enters() {
 }
 
 #[test]
-fn a_false_alarm_gets_no_lasting_id_and_ids_are_dense() {
+fn a_false_alarm_gets_no_final_id_and_ids_are_dense() {
     let world = World::still(vec![Thing::car(RED, |t| (10 + 5 * t as i64, 50))]);
     let alarm = |t: usize, mut found: Vec<Detection>| {
         if t.is_multiple_of(7) {
@@ -163,7 +163,7 @@ fn one_car_that_is_called_car_and_truck_is_one_object() {
 }
 
 #[test]
-fn classes_that_are_not_tracked_are_passed_over() {
+fn classes_that_are_not_tracked_are_skipped() {
     let world = World::still(vec![Thing { class: Some("person"), ..Thing::car(RED, |_| (10, 30)) }]);
     let (frames, tracks) = world.track(6, all);
     assert!(tracks.is_empty() && frames.iter().all(Vec::is_empty));
@@ -187,22 +187,22 @@ fn sizes_and_order_are_checked() {
     let small = Detection { class: "car".into(), confidence: 0.9, mask: Mask::from_fn(5, 5, |_, _| true) };
     let mut advance = |t: usize, detections: Vec<Detection>| {
         let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-        let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
-        tracker.advance(&World::frame(t), &image, look, None)
+        let input = FrameInput { found, by: BoxSource::Detector, segmenter: Some(&mut known) };
+        tracker.advance(&World::frame(t), &image, input, None)
     };
     assert!(matches!(advance(3, vec![small]), Err(PerceptionError::SizeMismatch { .. })));
     advance(3, world.detections(0)).unwrap();
     let again = advance(3, Vec::new());
     assert!(matches!(again, Err(PerceptionError::FrameOrder { .. })));
-    let nothing = || FrameInput { found: Vec::new(), by: BoxSource::Motion, prompter: None };
+    let nothing = || FrameInput { found: Vec::new(), by: BoxSource::Motion, segmenter: None };
     let other = tracker.advance(&World::frame(4), &::image::RgbImage::new(9, 9), nothing(), None);
     assert!(matches!(other, Err(PerceptionError::SizeMismatch { .. })));
-    // A tracker that refused something goes on.
+    // A tracker continues after invalid input.
     assert_eq!(tracker.advance(&World::frame(5), &image, nothing(), Some(&world.flow(1))).unwrap().len(), 1);
 }
 
 #[test]
-fn options_that_cannot_be_met_are_named() {
+fn invalid_options_are_named() {
     let options = TrackerOptions { min_detections: 0, ..TrackerOptions::default() };
     assert!(options.check().unwrap_err().to_string().contains("min_detections"));
     let options = TrackerOptions { min_overlap: f64::NAN, ..TrackerOptions::default() };

@@ -7,41 +7,41 @@ use ::image::RgbImage;
 use super::appearance::Appearance;
 use super::box_groups::BoxGroup;
 use super::boxes::FrameView;
-use super::occlusion::Pictures;
-use super::propagation::{PreviousObject, background_displacement, carry_whole};
+use super::occlusion::ImagePair;
+use super::propagation::{PreviousObject, background_displacement, propagate_object};
 use super::region::Region;
 use super::retrace::{Correction, Reported};
-use super::track::{Moment, Prediction, Recognised, Track};
+use super::track::{Moment, Prediction, Recognized, Track};
 use super::{ConfirmedObject, Evidence, FrameInput, IgnoredBoxes, TrackSummary, TrackedMask, TrackerOptions};
 use crate::networks::PerceptionError;
 use crate::scene::{Flow, Frame, FrameId, Mask, ObjectId, Rect};
 
-/// A detection of which more than this share lies in an object that is already followed starts no track of its own.
+/// Maximum share of a new mask inside a tracked object; above it, the mask starts no track of its own.
 pub(super) const MAX_COVERED: f64 = 0.6;
 
-/// Follows objects from frame to frame; see the module.
+/// Tracks objects from frame to frame; see the module.
 #[derive(Clone, Debug, Default)]
 pub struct Tracker {
     pub(super) options: TrackerOptions,
     pub(super) tracks: Vec<Track>,
-    /// Boxes that show nothing that is followed and whose masks nobody asked for yet.
-    pub(super) waiting: Vec<BoxGroup>,
+    /// Unassociated boxes that wait for the next frame with segmentation.
+    pub(super) pending: Vec<BoxGroup>,
     pub(super) num_started: u32,
     finished: Vec<TrackSummary>,
     num_confirmed: u32,
-    num_looks: usize,
+    num_frames: usize,
     pub(super) last_frame: Option<(FrameId, f64, (u32, u32))>,
-    /// The picture of the last frame.
-    pub(super) last_picture: Option<RgbImage>,
+    /// Image of the last frame.
+    pub(super) last_image: Option<RgbImage>,
     /// Masks reported for the latest frames.
     pub(super) reported: Reported,
-    /// Masks of this frame's objects in earlier frames, carried back from new ones.
+    /// Masks of this frame's objects in earlier frames, propagated back from new ones.
     pub(super) retraced: Vec<(FrameId, ObjectId, Region)>,
     corrections: Vec<Correction>,
-    pub(super) passed_over: IgnoredBoxes,
+    pub(super) ignored: IgnoredBoxes,
 }
 
-/// Outcome of a track in the current frame.
+/// Observation of a track in the current frame.
 pub(super) struct TrackObservation {
     pub(super) track_idx: usize,
     pub(super) evidence: Evidence,
@@ -49,79 +49,79 @@ pub(super) struct TrackObservation {
 }
 
 impl Tracker {
-    /// A tracker that has seen nothing yet.
+    /// Creates a tracker without tracks.
     pub fn new(options: TrackerOptions) -> Self {
         Self { options, ..Self::default() }
     }
 
-    /// Takes the next frame.
+    /// Processes the next frame.
     ///
-    /// * `image` – the frame's pixels, for appearance.
-    /// * `look` – what was found in it.
-    /// * `flow` – from the frame given before to this one; without it objects are followed by their velocity alone.
+    /// * `image` – the frame's pixels, for appearance and occlusion.
+    /// * `input` – its detections.
+    /// * `flow` – from the frame given before to this one; without it objects are predicted by their velocity alone.
     ///
     /// Returns the masks of this frame, ascending by provisional id; they do not overlap.
     ///
     /// # Errors
     /// [`PerceptionError::SizeMismatch`] if image, masks and flow differ in size, [`PerceptionError::FrameOrder`] if
-    /// the frame is not later than the last one; whatever the prompter runs into.
+    /// the frame is not later than the last one; errors of the segmenter.
     pub fn advance(
         &mut self,
         frame: &Frame,
         image: &RgbImage,
-        look: FrameInput<'_>,
+        input: FrameInput<'_>,
         flow: Option<&Flow>,
     ) -> Result<Vec<TrackedMask>, PerceptionError> {
         let elapsed_s = self.check(frame, image, flow, Ordering::Greater)?;
-        let now = Moment { count: self.num_looks, frame: frame.id, time_s: frame.time_s };
+        let now = Moment { count: self.num_frames, frame: frame.id, time_s: frame.time_s };
         let view = FrameView { image, flow, now, elapsed_s };
-        let FrameInput { found, by, prompter } = look;
-        self.num_looks += 1;
-        self.tracks.iter_mut().for_each(|track| track.ledger.look(by));
-        let sightings = self.follow_boxes(&view, found, prompter)?;
-        let masks = self.report(sightings, frame.id, Vec::new(), image.dimensions());
-        self.settle(now);
+        let FrameInput { found, by, segmenter } = input;
+        self.num_frames += 1;
+        self.tracks.iter_mut().for_each(|track| track.statistics.count_frame(by));
+        let observations = self.advance_tracks(&view, found, segmenter)?;
+        let masks = self.report(observations, frame.id, Vec::new(), image.dimensions());
+        self.confirm_and_finish(now);
         self.last_frame = Some((frame.id, frame.time_s, image.dimensions()));
-        self.last_picture = Some(image.clone());
+        self.last_image = Some(image.clone());
         Ok(masks)
     }
 
-    /// The places in which flow is of use: those of all that is followed or waits.
-    pub fn places(&self) -> Vec<Rect> {
-        let followed = self.tracks.iter().map(|track| track.whole.rect());
-        followed.chain(self.waiting.iter().map(|sight| sight.rect)).collect()
+    /// Regions in which flow is needed: those of all tracks and pending boxes.
+    pub fn flow_regions(&self) -> Vec<Rect> {
+        let tracked = self.tracks.iter().map(|track| track.whole.rect());
+        tracked.chain(self.pending.iter().map(|group| group.rect)).collect()
     }
 
-    /// Objects that have a lasting id and are not over.
+    /// Confirmed objects whose tracks have not ended.
     pub fn confirmed(&self) -> impl Iterator<Item = ConfirmedObject<'_>> {
         self.tracks.iter().filter_map(Track::confirmed)
     }
 
-    /// Summaries of the objects that are over, since the last call; [`Tracker::finish`] does not give them again.
+    /// Summaries of confirmed objects whose tracks ended since the last call; [`Tracker::finish`] does not repeat them.
     pub fn take_finished(&mut self) -> Vec<TrackSummary> {
         std::mem::take(&mut self.finished)
     }
 
-    /// Masks of earlier frames that are better known since the last call; they take the place of those reported then.
+    /// Improved masks of earlier frames since the last call; they replace those reported before.
     pub fn take_corrections(&mut self) -> Vec<Correction> {
         std::mem::take(&mut self.corrections)
     }
 
-    /// Stationary objects that were not followed so far.
-    pub fn passed_over(&self) -> IgnoredBoxes {
-        self.passed_over
+    /// Boxes of stationary objects that were ignored so far.
+    pub fn ignored_boxes(&self) -> IgnoredBoxes {
+        self.ignored
     }
 
-    /// Ends all tracks. Returns the confirmed ones, ascending by lasting id.
+    /// Ends all tracks; returns the summaries of confirmed objects, ascending by final id.
     pub fn finish(mut self) -> Vec<TrackSummary> {
         self.finished.extend(self.tracks.iter().filter_map(Track::summary));
         self.finished.sort_by_key(|summary| summary.id);
         self.finished
     }
 
-    /// Checks order and sizes; gives the seconds between the frame and the one given before, 0 for the first.
+    /// Checks order and sizes; returns the seconds between the frame and the one given before, 0 for the first.
     ///
-    /// * `order` – of this frame and the one before.
+    /// * `order` – of this frame relative to the one before.
     pub(super) fn check(
         &self,
         frame: &Frame,
@@ -130,8 +130,8 @@ impl Tracker {
         order: Ordering,
     ) -> Result<f64, PerceptionError> {
         self.options.check()?;
-        self.same_size("the image", frame, image, image.dimensions())?;
-        flow.map_or(Ok(()), |flow| self.same_size("the flow", frame, image, (flow.width, flow.height)))?;
+        self.check_size("the image", frame, image, image.dimensions())?;
+        flow.map_or(Ok(()), |flow| self.check_size("the flow", frame, image, (flow.width, flow.height)))?;
         match self.last_frame {
             Some((previous, ..)) if frame.id.cmp(&previous) != order => {
                 Err(PerceptionError::FrameOrder { previous, found: frame.id })
@@ -142,8 +142,8 @@ impl Tracker {
         }
     }
 
-    /// Refuses what has not the size of the frames, which is that of the first one.
-    pub(super) fn same_size(
+    /// Checks that an input has the size of the frames, which is that of the first one.
+    pub(super) fn check_size(
         &self,
         what: &str,
         frame: &Frame,
@@ -157,45 +157,48 @@ impl Tracker {
         Err(PerceptionError::SizeMismatch { what: format!("{what} of {}", frame.name), expected, found })
     }
 
-    /// Where each track should be now.
+    /// Predicts all tracks.
     pub(super) fn predict(&self, flow: Option<&Flow>, image: &RgbImage, elapsed_s: f64) -> Vec<Prediction> {
         let size = image.dimensions();
-        let pictures = self.last_picture.as_ref().map(|before| Pictures { before, now: image });
+        let images = self.last_image.as_ref().map(|before| ImagePair { before, now: image });
         let mut occupied = Mask::empty(size.0, size.1);
         self.tracks.iter().for_each(|track| occupied.union_with(track.region.mask()));
         let predict_one = |track: &Track| {
             let background = flow.and_then(|f| background_displacement(f, track.region.bounds(), &occupied));
             let background = background.unwrap_or_default();
-            let seen = PreviousObject { region: &track.region, whole: &track.whole, cover: &track.cover };
-            let carried = flow.filter(|_| !track.is_lost()).and_then(|flow| carry_whole(&seen, flow, pictures));
+            let previous = PreviousObject { region: &track.region, whole: &track.whole, occlusion: &track.occlusion };
+            let propagated =
+                flow.filter(|_| !track.is_lost()).and_then(|flow| propagate_object(&previous, flow, images));
             let moved = track.whole.moved(track.expected(background, elapsed_s));
-            Prediction { carried, moved, background }
+            Prediction { propagated, moved, background }
         };
         self.tracks.iter().map(predict_one).collect()
     }
 
-    /// Adds a new track; where a lost object may have come up again, it remembers which.
+    /// Adds a new track and links it to the lost object that it may continue.
     pub(super) fn add(&mut self, mut track: Track, appearance: Option<&Appearance>, now: Moment) {
-        let recognised = |lost: &Track| {
-            let may_be = lost.may_be_succeeded(now) && lost.may_be(Some(track.class()));
-            let found = lost.recognise(&track.region, appearance, now);
-            found.filter(|_| may_be)
+        let recognized = |lost: &Track| {
+            let is_compatible = lost.may_be_succeeded(now) && lost.is_compatible(Some(track.class()));
+            let found = lost.recognize(&track.region, appearance, now);
+            found.filter(|_| is_compatible)
         };
-        let lost = self.tracks.iter().enumerate().filter_map(|(idx, lost)| Some((idx, recognised(lost)?)));
+        let lost = self.tracks.iter().enumerate().filter_map(|(idx, lost)| Some((idx, recognized(lost)?)));
         let best = lost.max_by(|a, b| a.1.score.total_cmp(&b.1.score).then(b.0.cmp(&a.0)));
-        if let Some((idx, Recognised { evidence, .. })) = best {
-            track.follow_after(&mut self.tracks[idx], evidence);
+        if let Some((idx, Recognized { evidence, .. })) = best {
+            track.link_after(&mut self.tracks[idx], evidence);
         }
         self.tracks.push(track);
     }
 
-    /// The masks of the frame: each pixel goes to one object, to a detected one before a prompted one before a carried
-    /// one, and to the surer first. Masks that were carried back to earlier frames become corrections.
+    /// Resolves the masks of the frame, so that they do not overlap.
     ///
-    /// * `known` – what else has pixels in the frame.
+    /// Each pixel goes to one object: to a detected one before a prompted one before a propagated one, then by
+    /// confidence. Masks that were propagated back to earlier frames become corrections.
+    ///
+    /// * `known` – other objects with pixels in the frame.
     pub(super) fn report(
         &mut self,
-        mut sightings: Vec<TrackObservation>,
+        mut observations: Vec<TrackObservation>,
         frame: FrameId,
         known: Vec<(ObjectId, Region)>,
         (width, height): (u32, u32),
@@ -205,18 +208,18 @@ impl Tracker {
             Evidence::Prompted { quality } => quality - 1.0,
             Evidence::Carried => -1.0,
         };
-        sightings.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.track_idx.cmp(&b.track_idx)));
+        observations.sort_by(|a, b| rank(b).total_cmp(&rank(a)).then(a.track_idx.cmp(&b.track_idx)));
         let mut taken = Mask::empty(width, height);
-        let mut masks = Vec::with_capacity(sightings.len());
+        let mut masks = Vec::with_capacity(observations.len());
         let mut reported = known;
-        for sighting in sightings {
+        for observation in observations {
             let free = |x: u32, y: u32| !taken.get(i64::from(x), i64::from(y));
-            let Some(region) = sighting.region.filtered(free) else { continue };
+            let Some(region) = observation.region.filtered(free) else { continue };
             let mask = region.mask().clone();
             taken.union_with(&mask);
-            let object = self.tracks[sighting.track_idx].provisional;
+            let object = self.tracks[observation.track_idx].provisional;
             reported.push((object, region));
-            masks.push(TrackedMask { object, mask, evidence: sighting.evidence });
+            masks.push(TrackedMask { object, mask, evidence: observation.evidence });
         }
         masks.sort_by_key(|m| m.object);
         self.reported.remember(frame, reported);
@@ -226,21 +229,21 @@ impl Tracker {
         masks
     }
 
-    /// Gives lasting ids and ends what is over.
-    fn settle(&mut self, now: Moment) {
+    /// Assigns final ids and ends finished tracks.
+    fn confirm_and_finish(&mut self, now: Moment) {
         for track in &mut self.tracks {
-            if track.earns_id(&self.options) {
+            if track.is_confirmable(&self.options) {
                 self.num_confirmed += 1;
                 track.id = Some(ObjectId(self.num_confirmed));
             }
         }
         let finished = &mut self.finished;
         self.tracks.retain(|track| {
-            let over = track.is_over(now);
-            if over {
+            let is_finished = track.is_finished(now);
+            if is_finished {
                 finished.extend(track.summary());
             }
-            !over
+            !is_finished
         });
     }
 }

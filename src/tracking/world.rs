@@ -1,4 +1,4 @@
-//! A flat world for tests: coloured boxes slide over a background, with exact masks and exact flow.
+//! Synthetic 2D scene for tests: colored boxes over a background, with exact masks and flow.
 
 use std::collections::BTreeMap;
 
@@ -12,23 +12,23 @@ pub(super) const WIDTH: u32 = 200;
 pub(super) const HEIGHT: u32 = 80;
 pub(super) const FPS: f64 = 10.0;
 
-/// A box; later ones in the list hide earlier ones.
+/// A box; later ones in the list occlude earlier ones.
 pub(super) struct Thing {
-    /// Upper left corner at a frame.
+    /// Upper left corner in a frame.
     pub(super) at: Box<dyn Fn(usize) -> (i64, i64)>,
     pub(super) size: (i64, i64),
-    pub(super) colour: [u8; 3],
-    /// Class under which it is detected; `None` for what only hides others.
+    pub(super) color: [u8; 3],
+    /// Class under which it is detected; `None` for an occluder.
     pub(super) class: Option<&'static str>,
 }
 
 impl Thing {
-    pub(super) fn car(colour: [u8; 3], at: impl Fn(usize) -> (i64, i64) + 'static) -> Self {
-        Self { at: Box::new(at), size: (24, 14), colour, class: Some("car") }
+    pub(super) fn car(color: [u8; 3], at: impl Fn(usize) -> (i64, i64) + 'static) -> Self {
+        Self { at: Box::new(at), size: (24, 14), color, class: Some("car") }
     }
 
     pub(super) fn wall(x: i64, width: i64) -> Self {
-        Self { at: Box::new(move |_| (x, 0)), size: (width, i64::from(HEIGHT)), colour: [90, 90, 90], class: None }
+        Self { at: Box::new(move |_| (x, 0)), size: (width, i64::from(HEIGHT)), color: [90, 90, 90], class: None }
     }
 
     fn covers(&self, t: usize, x: u32, y: u32) -> bool {
@@ -49,7 +49,7 @@ impl World {
         Self { things, pan: (0, 0) }
     }
 
-    /// The thing that a pixel shows.
+    /// Index of the thing that a pixel shows.
     fn front(&self, t: usize, x: u32, y: u32) -> Option<usize> {
         (0..self.things.len()).rev().find(|&i| self.things[i].covers(t, x, y))
     }
@@ -65,7 +65,7 @@ impl World {
 
     pub(super) fn image(&self, t: usize) -> RgbImage {
         RgbImage::from_fn(WIDTH, HEIGHT, |x, y| {
-            Rgb(self.front(t, x, y).map_or([40, 120, 50], |i| self.things[i].colour))
+            Rgb(self.front(t, x, y).map_or([40, 120, 50], |i| self.things[i].color))
         })
     }
 
@@ -80,12 +80,12 @@ impl World {
         (0..self.things.len()).filter_map(detect).collect()
     }
 
-    /// Exact flow from frame t - 1 to t; what is hidden or out of the frame at t is inconsistent.
+    /// Exact flow from frame t - 1 to t; pixels that are occluded or outside the frame at t are inconsistent.
     pub(super) fn flow(&self, t: usize) -> Flow {
         self.flow_between(t - 1, t)
     }
 
-    /// Exact flow between neighbouring frames.
+    /// Exact flow between neighboring frames.
     pub(super) fn flow_between(&self, from: usize, to: usize) -> Flow {
         let shift = |i: Option<usize>| match i {
             Some(i) => {
@@ -107,38 +107,38 @@ impl World {
         flow
     }
 
-    /// Tracks frames 0 to `num_frames`; `seen` may change the detections of a frame.
+    /// Tracks frames 0 to `num_frames`; `alter` may change the detections of a frame.
     pub(super) fn track(
         &self,
         num_frames: usize,
-        seen: impl Fn(usize, Vec<Detection>) -> Vec<Detection>,
+        alter: impl Fn(usize, Vec<Detection>) -> Vec<Detection>,
     ) -> (Vec<Vec<TrackedMask>>, Vec<TrackSummary>) {
         let mut tracker = Tracker::new(TrackerOptions::default());
         let mut frames = Vec::new();
         for t in 0..num_frames {
             let flow = (t > 0).then(|| self.flow(t));
-            let detections = seen(t, self.detections(t));
+            let detections = alter(t, self.detections(t));
             let (found, mut known) = (DetectedBox::of_masks(&detections), KnownMasks::new(detections));
-            let look = FrameInput { found, by: BoxSource::Detector, prompter: Some(&mut known) };
-            frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
+            let input = FrameInput { found, by: BoxSource::Detector, segmenter: Some(&mut known) };
+            frames.push(tracker.advance(&Self::frame(t), &self.image(t), input, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())
     }
 }
 
-/// Gives the mask of the thing that fills a box best; in a box with nothing in it, the box itself as a poor mask.
-pub(super) struct WorldPrompter<'a> {
+/// Returns the mask of the thing that best fills a box; in an empty box, the box itself as a poor mask.
+pub(super) struct WorldSegmenter<'a> {
     pub(super) world: &'a World,
     pub(super) t: usize,
     /// Number of box prompts so far.
-    pub(super) num_asked: usize,
+    pub(super) num_prompts: usize,
     /// Changes an answer.
     pub(super) spoil: &'a dyn Fn(usize, BoxMask) -> Option<BoxMask>,
 }
 
-impl BoxSegmenter for WorldPrompter<'_> {
+impl BoxSegmenter for WorldSegmenter<'_> {
     fn masks(&mut self, _: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
-        self.num_asked += boxes.len();
+        self.num_prompts += boxes.len();
         Ok(boxes.iter().map(|rect| (self.spoil)(self.t, self.answer(rect))).collect())
     }
 
@@ -147,7 +147,7 @@ impl BoxSegmenter for WorldPrompter<'_> {
     }
 }
 
-impl WorldPrompter<'_> {
+impl WorldSegmenter<'_> {
     fn answer(&self, rect: &Rect) -> BoxMask {
         let masks = (0..self.world.things.len()).map(|thing| self.world.mask(self.t, thing));
         let overlap = |mask: &Mask| mask.bounding_box().map_or(0.0, |b| Rect::from(b).iou(rect));
@@ -157,7 +157,7 @@ impl WorldPrompter<'_> {
     }
 }
 
-/// The box of a thing as a detector or motion gives it.
+/// Boxes without evidence from points.
 pub(super) fn found_boxes(boxes: Vec<BoxDetection>) -> Vec<DetectedBox> {
     boxes.into_iter().map(DetectedBox::from).collect()
 }
@@ -169,12 +169,12 @@ pub(super) fn box_of(detection: &Detection, finder: DetectionSource) -> Option<B
 }
 
 impl World {
-    /// The boxes of all detectable things.
+    /// Boxes of all detectable things.
     pub(super) fn boxes(&self, t: usize, finder: DetectionSource) -> Vec<BoxDetection> {
         self.detections(t).iter().filter_map(|detection| box_of(detection, finder)).collect()
     }
 
-    /// Tracks frames 0 to `num_frames` by boxes, with masks asked for in every `every`-th frame.
+    /// Tracks frames 0 to `num_frames` by boxes, with segmentation in every `every`-th frame.
     pub(super) fn track_boxes(
         &self,
         num_frames: usize,
@@ -186,16 +186,17 @@ impl World {
         let mut frames = Vec::new();
         for t in 0..num_frames {
             let flow = (t > 0).then(|| self.flow(t));
-            let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
-            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn BoxSegmenter);
-            let look = FrameInput { found: found_boxes(boxes(t)), by: BoxSource::Detector, prompter };
-            frames.push(tracker.advance(&Self::frame(t), &self.image(t), look, flow.as_ref()).unwrap());
+            let mut segmenter = WorldSegmenter { world: self, t, num_prompts: 0, spoil };
+            let segmenter = t.is_multiple_of(every).then_some(&mut segmenter as &mut dyn BoxSegmenter);
+            let input = FrameInput { found: found_boxes(boxes(t)), by: BoxSource::Detector, segmenter };
+            frames.push(tracker.advance(&Self::frame(t), &self.image(t), input, flow.as_ref()).unwrap());
         }
         (frames, tracker.finish())
     }
 
-    /// Follows tracked objects back from the last frame to the first. Adds what can be trusted to their masks, which
-    /// get lasting ids.
+    /// Tracks objects backward from the last frame to the first.
+    ///
+    /// Reliable masks are added to those of the frames, under final ids.
     pub(super) fn extend_back(
         &self,
         frames: &mut [Vec<TrackedMask>],
@@ -203,18 +204,18 @@ impl World {
         every: usize,
         spoil: &dyn Fn(usize, BoxMask) -> Option<BoxMask>,
     ) -> BTreeMap<ObjectId, FrameId> {
-        let lasting = |m: TrackedMask, t: usize| {
+        let with_final_id = |m: TrackedMask, t: usize| {
             let track = tracks.iter().find(|track| track.provisional == m.object)?;
             (track.first.0..=track.last.0).contains(&(t as u32)).then_some(TrackedMask { object: track.id, ..m })
         };
         let mut tracker = BackwardTracker::new(TrackerOptions::default(), tracks);
         for t in (0..frames.len()).rev() {
-            frames[t] = std::mem::take(&mut frames[t]).into_iter().filter_map(|m| lasting(m, t)).collect();
+            frames[t] = std::mem::take(&mut frames[t]).into_iter().filter_map(|m| with_final_id(m, t)).collect();
             let known: Vec<(ObjectId, Mask)> = frames[t].iter().map(|m| (m.object, m.mask.clone())).collect();
             let flow = (t + 1 < frames.len()).then(|| self.flow_between(t + 1, t));
-            let mut prompter = WorldPrompter { world: self, t, num_asked: 0, spoil };
-            let prompter = t.is_multiple_of(every).then_some(&mut prompter as &mut dyn BoxSegmenter);
-            let earlier = tracker.advance(&Self::frame(t), &self.image(t), &known, prompter, flow.as_ref()).unwrap();
+            let mut segmenter = WorldSegmenter { world: self, t, num_prompts: 0, spoil };
+            let segmenter = t.is_multiple_of(every).then_some(&mut segmenter as &mut dyn BoxSegmenter);
+            let earlier = tracker.advance(&Self::frame(t), &self.image(t), &known, segmenter, flow.as_ref()).unwrap();
             frames[t].extend(earlier);
         }
         let firsts = tracker.finish();

@@ -1,4 +1,4 @@
-//! Places the object into the background, frame by frame.
+//! Poses of the object in the background's frame.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use nalgebra::{Point3, Vector3};
 use crate::math::{Rigid3, STD_PER_MAD, Sim3, centroid, median};
 use crate::scene::{Frame, FrameId, Image, ObjectId, ObjectPose, ObjectTrajectory, Reconstruction, ScaleEstimate};
 
-/// Description of an object besides its geometry.
+/// Id, class and confidence of an object.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ObjectDescription {
     /// Its id.
@@ -18,13 +18,12 @@ pub struct ObjectDescription {
     pub confidence: f64,
 }
 
-/// The trajectory of an object whose scale ratio is known.
+/// Assembles the trajectory of an object with a known scale ratio.
 ///
-/// Every frame of `frames` whose image is registered in both models gets a pose, also one without a ground plane and
-/// one whose pose looks like an outlier; frames that are not in both models are absent. The pose is eq.
-/// object_to_background_coordinates as a similarity: x_world = c(b) + r R(b)ᵀ R(o) (x_object − c(o)). `position` is
-/// [`object_center`] placed by it.
-/// What its ground rests on is for the caller to say.
+/// Every frame of `frames` whose image is registered in both models gets a pose, also without a ground plane and with
+/// an outlying pose; other frames are absent. The pose is eq. object_to_background_coordinates as a similarity: x_world
+/// = c(b) + r R(b)ᵀ R(o) (x_object − c(o)). `position` is [`object_center`] transformed by it. The caller fills in the
+/// bases of the ground planes.
 pub fn assemble(
     description: ObjectDescription,
     background: &Reconstruction,
@@ -38,8 +37,9 @@ pub fn assemble(
     ObjectTrajectory { poses, ..ObjectTrajectory::new(id, class, confidence, scale) }
 }
 
-/// The object's pose in every frame whose image is registered in both models, in the order of `frames`, at the scale
-/// ratio `ratio` (eq. object_to_background_coordinates); without speeds.
+/// Poses of the object at a scale ratio, in the order of `frames` (eq. object_to_background_coordinates).
+///
+/// Only for frames whose image is registered in both models, and without speeds.
 pub(super) fn poses(
     background: &Reconstruction,
     object: &Reconstruction,
@@ -54,7 +54,7 @@ pub(super) fn poses(
         .collect();
     let pose = |frame: &Frame| {
         let (in_background, in_object) = by_name.get(frame.name.as_str())?;
-        let world_from_object = place(&in_background.cam_from_world, &in_object.cam_from_world, ratio);
+        let world_from_object = similarity(&in_background.cam_from_world, &in_object.cam_from_world, ratio);
         Some(ObjectPose {
             frame: frame.id,
             name: frame.name.clone(),
@@ -67,18 +67,20 @@ pub(super) fn poses(
     frames.iter().filter_map(pose).collect()
 }
 
-/// The similarity world ← object of one frame (eq. object_to_background_coordinates): camera coordinates of the object
-/// are scaled by the ratio, since both camera frames share their origin and axes.
-fn place(cam_from_world: &Rigid3, cam_from_object: &Rigid3, ratio: f64) -> Sim3 {
+/// Similarity from object to world in one frame (eq. object_to_background_coordinates).
+///
+/// Both camera frames share their origin and axes, so that camera coordinates of the object are scaled by the ratio.
+fn similarity(cam_from_world: &Rigid3, cam_from_object: &Rigid3, ratio: f64) -> Sim3 {
     let world_from_cam = cam_from_world.inverse();
     let rotation = world_from_cam.rotation * cam_from_object.rotation;
     let translation = world_from_cam.rotation * cam_from_object.translation * ratio + world_from_cam.translation;
     Sim3::new(ratio, rotation, translation)
 }
 
-/// The middle of the object's points, in its own frame: the mean of those within three robust standard deviations of
-/// the median along every axis, so that a handful of stray points does not move it. The origin for a model without
-/// points.
+/// Center of the object's points, in its frame; the origin for a model without points.
+///
+/// It is the mean of the points within three robust standard deviations of the median along every axis, so that a few
+/// stray points do not move it.
 pub fn object_center(object: &Reconstruction) -> Point3<f64> {
     let points = object.finite_positions();
     let along = |axis: usize, from: f64| points.iter().map(move |p| p[axis] - from);
@@ -96,12 +98,14 @@ pub fn object_center(object: &Reconstruction) -> Point3<f64> {
     if inliers.is_empty() { Point3::from(center) } else { centroid(&inliers) }
 }
 
-/// Half of the time over which a speed is taken, seconds: long enough for a vehicle in traffic to move further than the
-/// noise of its position, short enough for it not to change its mind.
+/// Half of the time over which a speed is computed, seconds: long enough for a vehicle in traffic to move farther than
+/// the noise of its position, short enough for a constant motion.
 pub(super) const HALF_WINDOW_S: f64 = 0.5;
 
-/// Velocity at one pose, units of the world per second: of the straight line, by least squares, through the positions
-/// within half a second of it, and at least its neighbors. `None` when these have the same time or there are none.
+/// Velocity at one pose, units of the world per second.
+///
+/// Least squares line through the positions within half a second, and at least the neighbors. `None` if these have the
+/// same time or there are none.
 pub(super) fn velocity(poses: &[ObjectPose], k: usize) -> Option<Vector3<f64>> {
     let now = poses[k].time_s;
     let near = |i: &usize| i.abs_diff(k) <= 1 || (poses[*i].time_s - now).abs() <= HALF_WINDOW_S;
@@ -134,7 +138,7 @@ mod tests {
     }
 
     #[test]
-    fn objects_are_placed_where_they_are() {
+    fn poses_are_those_of_the_object() {
         let world = drive(&Options::default(), 1);
         let found = assembled(&world);
         assert_eq!(found.poses.len(), world.frames.len());
@@ -159,7 +163,7 @@ mod tests {
     #[test]
     fn velocities_are_those_of_the_vehicle() {
         let curve = Route::Curve { radius_m: 40.0 };
-        // In the curve the centre of the reconstructed points, not being on the axis, drives a circle of its own.
+        // In the curve the center of the reconstructed points is not on the axis and has a circle of its own.
         for (route, tolerance) in [(Route::Straight, 1e-9), (curve, 0.2)] {
             let options = Options { background_unit_m: 1.0, route, ..Options::default() };
             let poses = assembled(&drive(&options, 7)).poses;
@@ -170,7 +174,7 @@ mod tests {
     }
 
     #[test]
-    fn stray_points_do_not_move_the_centre() {
+    fn stray_points_do_not_move_the_center() {
         let mut world = drive(&Options { num_frames: 5, ..Options::default() }, 1);
         let before = object_center(&world.object);
         for point in world.object.points.values_mut().take(3) {

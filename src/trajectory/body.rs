@@ -9,20 +9,20 @@ pub(super) const WIDTH_STD: f64 = 0.3;
 /// Height over width: cars have 0.83, small cars and off-road vehicles 0.9 to 1, buses and lorries 1.2 to 1.3.
 pub(super) const HEIGHT_PER_WIDTH: f64 = 0.9;
 
-/// Kinds of bodies that differ in where their tyres are.
+/// Kinds of bodies, which differ in the positions of their tires.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Body {
-    /// Cars and vans, and what is only known to be a vehicle.
+    /// Cars, vans, and vehicles of unknown class.
     #[default]
     Car,
     /// Lorries, buses and trailers: axles far from the ends, open frames, skirts.
     Long,
-    /// Motorcycles and bicycles: two narrow tyres in the middle plane.
+    /// Motorcycles and bicycles: two narrow tires in the center plane.
     TwoWheeler,
 }
 
 impl Body {
-    /// By the class name of a detector (COCO) or of the data set.
+    /// Body of a class, by its name in a detector (COCO) or in the data set.
     pub fn of_class(class: &str) -> Self {
         match class {
             "truck" | "bus" | "train" | "lorry" | "trailer" => Self::Long,
@@ -31,7 +31,7 @@ impl Body {
         }
     }
 
-    /// The options for this body: those that are set are a car's. What was not measured gets a wide deviation.
+    /// Options for this body, from those of a car. Values that were not measured get a large standard deviation.
     pub(super) fn contact(self, car: &ContactOptions) -> ContactOptions {
         let wider = |[mean, std]: [f64; 2], factor: f64| [mean, factor * std];
         match self {
@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_was_not_measured_is_less_sure() {
+    fn bodies_without_measurements_have_larger_stds() {
         let car = ContactOptions::default();
         assert_eq!(Body::of_class("car").contact(&car), car);
         assert_eq!(Body::of_class("vehicle"), Body::Car);

@@ -1,4 +1,4 @@
-//! The scale ratio from the best view pair, as in the paper.
+//! Scale ratio from the best view pair, as in the paper.
 //!
 //! A point that moves with the object keeps its distance to the ground, so that for a pair of views (i, i′) every
 //! point j gives an equation (eqs. determine_s1 to determine_s3; h, a as in [`View`])
@@ -7,37 +7,36 @@
 //! h_i + r a_ji = h_i′ + r a_ji′    ⇒    r_j = (h_i′ − h_i) / (a_ji − a_ji′).
 //! ```
 //!
-//! Pairs are ranked twice: by the size of the numerator, which all points share, largest first; and by the spread of
-//! the r_j over the points, smallest first. The paper speaks of "the variance of the corresponding scale ratios" and of
-//! "the scale ratio difference"; both order pairs by how far their r_j lie apart, and the standard deviation is what is
-//! taken here. The pair with the smallest sum of both ranks wins, and r is the least squares solution of its equations
+//! Pairs are ranked twice: by the magnitude of the numerator, which all points share, largest first; and by the spread
+//! of the r_j over the points, smallest first. The paper speaks of "the variance of the corresponding scale ratios" and
+//! of "the scale ratio difference"; both order pairs by the spread of their r_j. Here the spread is the standard
+//! deviation. The pair with the smallest sum of both ranks wins, and r is the least squares solution of its equations
 //! (a_ji − a_ji′) r = h_i′ − h_i over all points.
 //!
-//! What the paper leaves open, and how it is settled here:
+//! Cases that the paper does not specify:
 //! * Equal sums: the larger numerator wins.
-//! * A winner whose r is not positive: the next pair in the order is taken, since a ratio of lengths is positive.
+//! * A winner whose r is not positive: the next pair in the order is used, since a ratio of lengths is positive.
 //! * Long clips: the number of pairs grows with the square of the frames. Beyond [`MAX_PAIRS`] only every n-th frame is
-//!   used; beyond [`MAX_RATIOS`] the spread is taken over every k-th point only. The final least squares uses all
+//!   used; beyond [`MAX_RATIOS`] the spread is computed over every k-th point only. The final least squares uses all
 //!   points. Both limits are far above 60 frames.
 
 use super::{Estimate, LeastSquares, Options, ScaleError, View, Views, least_squares};
 
-/// Most view pairs that are ranked: all of 600 frames, a quarter of a second.
+/// Maximum number of ranked view pairs: all of 600 frames, a quarter of a second.
 const MAX_PAIRS: usize = 200_000;
-/// Most single ratios r_j that are computed for the second ranking: 250 points in each of [`MAX_PAIRS`].
+/// Maximum number of ratios r_j computed for the second ranking: 250 points in each of [`MAX_PAIRS`].
 const MAX_RATIOS: usize = 50_000_000;
 
-/// The answer of the best view pair.
+/// Result of the best view pair.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ConstantDistance {
     /// r > 0.
     pub ratio: f64,
-    /// Mean over the points of (a_ji − a_ji′)², in squared units of the object: what the pair's uncertainty follows
-    /// from.
+    /// Mean over the points of (a_ji − a_ji′)², in squared units of the object; it determines the pair's uncertainty.
     pub mean_denominator_sq: f64,
 }
 
-/// The scale ratio of the pair of views with the lowest overall rank.
+/// Scale ratio of the pair of views with the lowest sum of ranks.
 ///
 /// # Errors
 /// [`ScaleError`] for fewer than two views, no points, or no pair with a positive ratio.
@@ -52,7 +51,7 @@ fn constant_distance_within(
 ) -> Result<ConstantDistance, ScaleError> {
     views.require(2)?;
     let pairs = pairs_by_numerator(&views.views, max_pairs);
-    // At least a hundred points, or all, so that a spread means something even in the longest clip.
+    // At least a hundred points, or all, for a meaningful spread even in the longest clip.
     let per_pair = (max_ratios / pairs.len().max(1)).max(100);
     let stride = views.points.len().div_ceil(per_pair);
     let spreads: Vec<f64> = pairs.iter().map(|&(i, k)| spread(views, i, k, stride)).collect();
@@ -63,13 +62,13 @@ fn constant_distance_within(
 
 impl ConstantDistance {
     /// Standard deviation of the ratio, sqrt(2 σ² / mean_j D_j²), with σ from the residuals of the fit over all frames
-    /// and the drift that grows with the distance at `ratio`.
+    /// and the drift that grows with the distance, at `ratio`.
     fn std(&self, all_frames: &LeastSquares, views: &Views, ratio: f64) -> f64 {
         all_frames.residual_std.hypot(views.grazing_std(ratio)) * (2.0 / self.mean_denominator_sq).sqrt()
     }
 }
 
-/// Ratio of the best pair, with the standard deviation that the fit over all frames gives it.
+/// Ratio of the best pair, with a standard deviation from the fit over all frames.
 pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
     let found = constant_distance(views)?;
     let all_frames = least_squares(views, &options.least_squares).ok();
@@ -80,7 +79,8 @@ fn numerator(first: &View, second: &View) -> f64 {
     second.camera_height - first.camera_height
 }
 
-/// Index pairs i < i′ by falling size of the numerator: of all views, or of every n-th, about `max_pairs` at most.
+/// Index pairs i < i′ by decreasing magnitude of the numerator, of all views or of every n-th: at most about
+/// `max_pairs`.
 fn pairs_by_numerator(views: &[View], max_pairs: usize) -> Vec<(usize, usize)> {
     let stride = (views.len() as f64 / (2.0 * max_pairs as f64).sqrt()).ceil().max(1.0) as usize;
     let kept: Vec<usize> = (0..views.len()).step_by(stride).collect();
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn limits_leave_out_frames() {
+    fn limits_reduce_the_frames() {
         // Over hills no two numerators are equal.
         let terrain = Terrain::Hills { amplitude_m: 1.0, wavelength_m: 60.0 };
         let world = drive(&Options { num_frames: 20, terrain, ..Options::default() }, 1);
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_heights_and_missing_views_are_answers() {
+    fn equal_heights_and_missing_views_are_errors() {
         let world = drive(&Options { camera_climb_m: 0.0, ..Options::default() }, 1);
         let mut views =
             Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());

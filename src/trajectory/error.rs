@@ -1,14 +1,14 @@
-//! Why there is no scale ratio.
+//! Errors of the scale estimation.
 
 use thiserror::Error;
 
 use crate::math::rounding::figure;
 use crate::scene::ScaleMethod;
 
-/// Why an estimator has no answer. The messages are made to be shown to the user as they are.
+/// Reason why an estimator has no result. The messages are meant for the user.
 #[derive(Clone, Debug, PartialEq, Error)]
 pub enum ScaleError {
-    /// Not enough frames have everything that an equation needs.
+    /// Too few frames have all the data that an equation needs.
     #[error(
         "only {usable} frames have a background camera, an object camera and a local ground plane ({paired} have both \
          cameras, {planes} a plane); at least {needed} needed"
@@ -20,13 +20,13 @@ pub enum ScaleError {
         paired: usize,
         /// Frames with a plane.
         planes: usize,
-        /// Number that the estimator needs.
+        /// Minimum number for the estimator.
         needed: usize,
     },
     /// The object's model has no points.
     #[error("the object's model has no points")]
     NoPoints,
-    /// The model has points, and too few of them are seen often enough to show where the vehicle touches the ground.
+    /// Too few of the model's points are observed often enough to determine the contact with the ground.
     #[error(
         "none of the model's {num_points} points is observed in {min_track} frames or more and near the others: the \
          contact with the ground is undetermined"
@@ -34,30 +34,30 @@ pub enum ScaleError {
     NoSolidPoints {
         /// Points of the model.
         num_points: usize,
-        /// Observations that a point needs to count.
+        /// Minimum number of observations of a point that is used.
         min_track: usize,
     },
-    /// The planes point everywhere.
+    /// The normals of the planes have no mean direction.
     #[error("normals of the {num_views} local ground planes have no mean direction in the object's frame")]
     NoMeanNormal {
-        /// Planes looked at.
+        /// Number of planes.
         num_views: usize,
     },
     /// No observation of the object's model can be compared with its point.
     #[error("no observation of the object's model can be compared with its point")]
     NoObservations,
-    /// The adjustment left something undetermined.
+    /// The adjustment leaves the size undetermined.
     #[error(
         "adjustment with the ground leaves the size undetermined: too little of the object is visible in some frames"
     )]
     NoCovariance,
-    /// The adjusted points cannot be brought back.
+    /// The adjusted points cannot be aligned with the original ones.
     #[error("adjusted points cannot be aligned with the original reconstruction")]
     NoSimilarity,
-    /// The object is nowhere.
+    /// No frame is registered in both reconstructions.
     #[error("no frame is registered in both the background and the object")]
     NoCommonFrame,
-    /// A method that gives no answer of this kind was asked for.
+    /// The requested method needs an adjustment of the model.
     #[error("{} cannot be used without adjusting the model", .0.name())]
     NoAnswer(ScaleMethod),
     /// The camera does not translate.
@@ -69,13 +69,13 @@ pub enum ScaleError {
          beyond its noise, or the ground planes are wrong"
     )]
     NoPositivePair {
-        /// Pairs looked at.
+        /// Number of pairs.
         num_pairs: usize,
     },
-    /// No ray towards an object point meets its plane in front of the camera.
+    /// No ray to an object point intersects its plane in front of the camera.
     #[error("in none of {num_views} frames does a ray to an object point intersect the local ground plane")]
     NoIntersection {
-        /// Frames looked at.
+        /// Number of frames.
         num_views: usize,
     },
     /// The least squares solution over all frames is not positive.
@@ -89,21 +89,21 @@ pub enum ScaleError {
         /// The solution.
         ratio: f64,
     },
-    /// The motion leaves the criterion of an estimator without a solution.
+    /// The criterion of an estimator has no solution for this motion.
     #[error("scale undetermined: {0}")]
     Undetermined(&'static str),
     /// The adjustment with the ground cannot be done.
     #[error("adjustment with the ground failed: {0}")]
     Adjustment(String),
-    /// The object's images and the ground contradict one another.
+    /// The object's images and the ground contradict each other.
     #[error(
         "median reprojection error {after_px:.2} px with the object on the ground, {before_px:.2} px without: wrong \
          ground planes, or the object is not on the ground"
     )]
     GroundContradicts {
-        /// Median error before.
+        /// Median reprojection error before, pixels.
         before_px: f64,
-        /// And after.
+        /// Median reprojection error after, pixels.
         after_px: f64,
     },
 }
@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_no_number_is_not_printed() {
+    fn nan_is_not_printed() {
         let nowhere = ScaleError::NotPositive { num_views: 3, ratio: f64::NAN }.to_string();
         assert!(!nowhere.contains("NaN") && nowhere.contains("no solution"), "{nowhere}");
     }

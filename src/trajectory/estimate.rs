@@ -1,4 +1,4 @@
-//! All estimators on one object, and a verdict.
+//! Scale ratio of one object by all estimators, with its determinacy.
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_1_SQRT_2;
@@ -20,9 +20,9 @@ use crate::scene::{
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct Options {
-    /// Method that gives the scale ratio; the others are reported as alternatives.
+    /// Method of the scale ratio; the others are reported as alternatives.
     pub method: ScaleMethod,
-    /// True to compute the reference methods of the literature, too, for comparison: the benchmark does.
+    /// True to compute the reference methods of the literature, too, for comparison, as the benchmark does.
     pub references: bool,
     /// True for the chosen method alone: no substitute where it has no ratio, no frames dropped, no ground tracks.
     pub method_only: bool,
@@ -52,7 +52,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Rejects what cannot be worked with.
+    /// Rejects unusable values.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -62,44 +62,44 @@ impl Options {
     }
 }
 
-/// Runs every estimator that takes a reconstruction as it is and gives the answer of `wanted` with a verdict.
+/// Runs every estimator that does not change the reconstruction, and returns the ratio of `wanted`.
 ///
-/// [`ScaleMethod::Joint`] is not among them, since it makes a reconstruction of its own ([`joint`](super::joint()));
+/// [`ScaleMethod::Joint`] is not among them, since it adjusts the reconstruction ([`joint`](super::joint()));
 /// [`place`](super::place()) chooses between the two.
 ///
-/// For methods that live on the camera's change of height, `degenerate` says that the motion does not determine r: the
-/// camera's height over the ground does not change, or by too little for its noise. Where the chosen method has no
-/// answer, `intersection` stands in, or else the first other that has one, and `method` and `reason` say so
-/// ([`Options::method_only`]: none does).
+/// For methods that depend on the camera's change of height, `degenerate` means that the motion does not determine r:
+/// the camera's height over the ground does not change, or by too little for its noise. If the requested method fails,
+/// `intersection` replaces it, or else the first other method with a result; `method` and `reason` report that. With
+/// [`Options::method_only`] there is no replacement.
 ///
 /// # Errors
-/// The chosen method's [`ScaleError`], if no method has an answer.
+/// The requested method's [`ScaleError`], if no method has a result.
 pub fn estimate_scale(views: &Views, wanted: ScaleMethod, options: &Options) -> Result<ScaleEstimate, ScaleError> {
-    let answers = answers(views, wanted, options);
-    let of = |method: &ScaleMethod| answers.get(method).and_then(|answer| answer.as_ref().ok());
-    // Contact stands in first: it does not need what the other two lack when they have no answer, a climb.
+    let results = results(views, wanted, options);
+    let of = |method: &ScaleMethod| results.get(method).and_then(|result| result.as_ref().ok());
+    // Contact is the first replacement: it does not need a climb, which the other two lack when they fail.
     let others = [ScaleMethod::Intersection].into_iter().chain(ScaleMethod::ALL).filter(|_| !options.method_only);
     let chosen = [wanted].into_iter().chain(others);
     let found = chosen.filter_map(|method| Some((method, of(&method)?))).next();
-    let failure = answers.get(&wanted).and_then(|answer| answer.as_ref().err());
+    let failure = results.get(&wanted).and_then(|result| result.as_ref().err());
     let Some((method, &Estimate { ratio, std, .. })) = found else {
         return Err(failure.cloned().unwrap_or(ScaleError::NoAnswer(wanted)));
     };
-    let stands_in =
+    let replacement =
         |failure: &ScaleError| format!("{} instead of {}, which failed: {failure}", method.name(), wanted.name());
-    let mut reasons: Vec<String> = failure.map(stands_in).into_iter().collect();
-    // Contact does not need the camera to climb, so its answer, where it was asked for, is not judged by the climb.
+    let mut reasons: Vec<String> = failure.map(replacement).into_iter().collect();
+    // Contact does not need the camera to climb: if it was requested, its result is not judged by the climb.
     if [method, wanted].iter().any(|method| needs_climb(*method)) {
         reasons.extend(degeneracy(&least_squares(views, &options.least_squares), options.max_relative_std));
     } else {
         reasons.extend(std.and_then(|std| too_uncertain(std / ratio, options.max_relative_std)));
     }
-    let (reason, alternatives) = (joined(&reasons), found_by(&answers));
+    let (reason, alternatives) = (joined(&reasons), ratios_by_method(&results));
     Ok(ScaleEstimate {
         std,
         degenerate: reason.is_some(),
         reason,
-        // What varies from frame to frame is all that these methods look at.
+        // These methods only use the variation from frame to frame.
         shares: std.map(|std| ScaleShares { frames: std / ratio, ..ScaleShares::default() }),
         support: Some(support(views, ratio, method, &alternatives)),
         alternatives,
@@ -112,12 +112,12 @@ fn joined(reasons: &[String]) -> Option<String> {
     (!reasons.is_empty()).then(|| reasons.join("; "))
 }
 
-/// The answer of an adjustment with the ground, with a verdict, and what the others say of the adjusted reconstruction.
+/// Ratio of an adjustment with the ground, with its determinacy and the ratios of the other methods.
 ///
-/// * `views` – of [`Joint::object`].
-/// * `focal_std` – share of the focal length, where it is not known exactly. One that was 10 % too long put the ratio
-///   4.1 to 17.9 % off the reference ratios of the same reconstructions, on five rendered sequences (root mean square
-///   9.3 %).
+/// * `views` – of [`Joint::object`], the adjusted reconstruction.
+/// * `focal_std` – relative standard deviation of the focal length, where that is not known exactly. With a focal
+///   length 10 % too long the ratios differed by 4.1 to 17.9 % from the reference ratios of the same reconstructions,
+///   on five rendered sequences (root mean square 9.3 %).
 pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, focal_std: Option<f64>) -> ScaleEstimate {
     let mut alternatives = ratios_of(views, options);
     alternatives.insert(ScaleMethod::Joint, found.ratio);
@@ -127,7 +127,7 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
         disagreement: disagreement(found, all_frames.filter(|_| !views.camera_hovers).as_ref()),
         ..found.shares
     };
-    let reason = why_unsure(&shares, options.max_relative_std);
+    let reason = uncertainty_reason(&shares, options.max_relative_std);
     ScaleEstimate {
         std: Some(shares.total() * found.ratio),
         degenerate: reason.is_some(),
@@ -142,10 +142,10 @@ pub(super) fn joint_estimate(views: &Views, found: &Joint, options: &Options, fo
     }
 }
 
-/// Reason for a ratio's uncertainty beyond the accepted one, in words; `None` within it.
-fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
+/// Reason for an uncertainty of the ratio beyond the accepted one, in words; `None` within it.
+fn uncertainty_reason(shares: &ScaleShares, accepted: f64) -> Option<String> {
     if shares.given_focal() <= accepted {
-        return focal_leaves_open(shares, accepted);
+        return focal_length_reason(shares, accepted);
     }
     let why = match shares.disagreement > FRAC_1_SQRT_2 * shares.given_focal() {
         true => {
@@ -157,31 +157,31 @@ fn why_unsure(shares: &ScaleShares, accepted: f64) -> Option<String> {
              changing height"
         }
     };
-    Some(format!("{}: {why}", beyond(shares.given_focal(), accepted)))
+    Some(format!("{}: {why}", with_limit(shares.given_focal(), accepted)))
 }
 
 /// "±18 % (limit ±10 %)".
-fn beyond(std: f64, limit: f64) -> String {
+fn with_limit(std: f64, limit: f64) -> String {
     format!("±{} (limit ±{})", percent(std), percent(limit))
 }
 
 /// Reason, in words, if the focal length leaves a ratio undetermined.
-fn focal_leaves_open(shares: &ScaleShares, accepted: f64) -> Option<String> {
-    // The focal length may make a ratio three times as unsure as all else: it does so to all vehicles alike, and says
-    // nothing of their motion.
+fn focal_length_reason(shares: &ScaleShares, accepted: f64) -> Option<String> {
+    // The limit for the focal length is three times as large: its error is common to all vehicles, and does not affect
+    // the determinacy by their motion.
     let (total, accepted) = (shares.total(), 3.0 * accepted);
     let is_open = !(total <= accepted) && shares.focal > shares.given_focal();
     let known = || format!("focal length known to ±{} only; give --intrinsics", percent(shares.focal));
-    is_open.then(|| format!("{}: {}", beyond(total, accepted), known()))
+    is_open.then(|| format!("{}: {}", with_limit(total, accepted), known()))
 }
 
-/// The same estimate under a focal length that is not known exactly.
+/// The estimate with the uncertainty of the focal length included.
 ///
-/// * `accepted` – the largest deviation that is, as a share of the ratio.
+/// * `accepted` – maximum standard deviation, as a share of the ratio.
 pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted: f64) -> ScaleEstimate {
     let (Some(focal_std), Some(shares)) = (focal_std, scale.shares) else { return scale };
     let shares = ScaleShares { focal: focal_std, ..shares };
-    let reasons: Vec<String> = scale.reason.into_iter().chain(focal_leaves_open(&shares, accepted)).collect();
+    let reasons: Vec<String> = scale.reason.into_iter().chain(focal_length_reason(&shares, accepted)).collect();
     let reason = joined(&reasons);
     ScaleEstimate {
         std: Some(shares.total() * scale.ratio),
@@ -192,10 +192,12 @@ pub(super) fn with_focal(scale: ScaleEstimate, focal_std: Option<f64>, accepted:
     }
 }
 
-/// Variance beyond the reported ones that the difference to least squares on the same model shows: half of its square
-/// beyond what both explain (two estimates with a random effect; R. DerSimonian and N. Laird, *Meta-analysis in
-/// clinical trials*, 1986). Least squares is assumed to have twice its reported standard deviation (decision 7), and
-/// its ratio may be any between those of noise in one kind of heights or the other.
+/// Standard deviation by the difference from least squares on the same model, beyond the reported ones.
+///
+/// Its variance is half of the squared difference beyond the variances of both (two estimates with a random effect;
+/// R. DerSimonian and N. Laird, *Meta-analysis in clinical trials*, 1986). Least squares is assumed to have twice its
+/// reported standard deviation (decision 7), and its ratio may be any between those for noise in one kind of heights or
+/// the other.
 fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
     let Some(other) = all_frames else { return 0.0 };
     let (least, most) = (other.ratio.min(other.ratio_by_object_noise), other.ratio.max(other.ratio_by_object_noise));
@@ -205,12 +207,12 @@ fn disagreement(found: &Joint, all_frames: Option<&LeastSquares>) -> f64 {
     if excess > 0.0 && excess.is_finite() { (0.5 * excess).sqrt() } else { 0.0 }
 }
 
-/// Ratios by all estimators that take a reconstruction unchanged; without those that have no answer.
+/// Ratios by all estimators that do not change the reconstruction; those without a result are absent.
 pub fn ratios_of(views: &Views, options: &Options) -> Ratios {
-    found_by(&answers(views, options.method, options))
+    ratios_by_method(&results(views, options.method, options))
 }
 
-/// Results of the reference methods for a reconstruction that stays as it is; none unless they are wanted.
+/// Results of the reference methods for an unchanged reconstruction; empty unless they are requested.
 pub(super) fn references(views: &Views, options: &Options) -> References {
     let wanted = ScaleMethod::ALL.into_iter().filter(|method| options.references && method.is_reference());
     wanted.map(|method| (method, reference(method, views, options))).collect()
@@ -227,26 +229,26 @@ fn reference(method: ScaleMethod, views: &Views, options: &Options) -> Reference
 }
 
 fn too_uncertain(relative_std: f64, accepted: f64) -> Option<String> {
-    (!(relative_std <= accepted)).then(|| format!("scale undetermined: {}", beyond(relative_std, accepted)))
+    (!(relative_std <= accepted)).then(|| format!("scale undetermined: {}", with_limit(relative_std, accepted)))
 }
 
-type Answers = BTreeMap<ScaleMethod, Result<Estimate, ScaleError>>;
+type Results = BTreeMap<ScaleMethod, Result<Estimate, ScaleError>>;
 
-/// Answers of `wanted`, and of all others but references, for a reconstruction that stays as it is.
-fn answers(views: &Views, wanted: ScaleMethod, options: &Options) -> Answers {
-    let asked = ScaleMethod::ALL.into_iter().filter(|method| *method == wanted || !method.is_reference());
-    let answer = |method: ScaleMethod| match views.camera_hovers && needs_climb(method) {
+/// Results of `wanted` and of all methods but references, for an unchanged reconstruction.
+fn results(views: &Views, wanted: ScaleMethod, options: &Options) -> Results {
+    let requested = ScaleMethod::ALL.into_iter().filter(|method| *method == wanted || !method.is_reference());
+    let result = |method: ScaleMethod| match views.camera_hovers && needs_climb(method) {
         true => Err(ScaleError::CameraHovers),
         false => estimate(method, views, options),
     };
-    asked.map(|method| (method, answer(method))).collect()
+    requested.map(|method| (method, result(method))).collect()
 }
 
-fn found_by(answers: &Answers) -> Ratios {
-    answers.iter().filter_map(|(method, answer)| Some((*method, answer.as_ref().ok()?.ratio))).collect()
+fn ratios_by_method(results: &Results) -> Ratios {
+    results.iter().filter_map(|(method, result)| Some((*method, result.as_ref().ok()?.ratio))).collect()
 }
 
-/// Evidence for a ratio, and against it, by the views.
+/// Evidence for and against a ratio, from the views.
 fn support(views: &Views, ratio: f64, method: ScaleMethod, ratios: &Ratios) -> ScaleSupport {
     let others = ratios.iter().filter(|(other, _)| **other != method);
     ScaleSupport {
@@ -259,8 +261,7 @@ fn support(views: &Views, ratio: f64, method: ScaleMethod, ratios: &Ratios) -> S
     }
 }
 
-/// Standard deviation, over the frames, of the distance of the points' middle to the ground, as a share of the camera's
-/// mean height.
+/// Standard deviation over the frames of the height of the points' center, as a share of the camera's mean height.
 fn ground_residual(views: &Views, ratio: f64) -> f64 {
     let count = views.views.len().max(1) as f64;
     let center = centroid(&views.points);
@@ -272,7 +273,7 @@ fn ground_residual(views: &Views, ratio: f64) -> f64 {
     if residual.is_finite() { residual } else { 0.0 }
 }
 
-/// Why the motion does not determine r, in words and numbers; `None` if it does.
+/// Reason why the motion does not determine r, with figures; `None` if it does.
 fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f64) -> Option<String> {
     let fit = match all_frames {
         Ok(fit) => fit,
@@ -283,7 +284,7 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
         return Some("frames cannot be checked against one another: too few agree on the ground".to_owned());
     }
     let motion = format!("camera height above the vehicle varies by {} only", percent(relative));
-    // Nothing but rounding tells the frames apart: single precision of model files.
+    // The frames differ by rounding only: single precision of model files.
     if relative <= 1e-6 {
         return Some("camera and vehicle move parallel to the ground: the scale is undetermined".to_owned());
     }
@@ -297,10 +298,10 @@ fn degeneracy(all_frames: &Result<LeastSquares, ScaleError>, max_relative_std: f
     if fit.ratio <= 0.0 {
         return Some(format!("no positive scale: {motion}, or the ground planes are wrong"));
     }
-    // A large change of height does not help where planes are worse than it: with planes good to 1 % of the height, a
-    // tenth of it determines the ratio to 10 %.
+    // A large change of height does not help if the error of the planes is larger: with an error of 1 % of the height,
+    // a tenth of the height determines the ratio to 10 %.
     let why = if relative > 0.1 { "the ground planes are too noisy".to_owned() } else { motion };
-    Some(format!("{}: {why}", beyond(relative_std, max_relative_std)))
+    Some(format!("{}: {why}", with_limit(relative_std, max_relative_std)))
 }
 
 #[cfg(test)]
@@ -331,7 +332,7 @@ mod tests {
 
     #[test]
     fn too_little_climb_for_the_noise_is_degenerate_with_numbers() {
-        // Planes that are wrong in height only: their tilt would by itself change the camera's height over them.
+        // Planes with height errors only: tilt errors would change the camera's height over them.
         let noise = Noise { plane_tilt_deg: 0.0, plane_height_m: 0.1, ..NOISE };
         let world = drive::Options { camera_climb_m: 0.1, noise, ..Default::default() };
         for seed in 0..4 {
@@ -360,19 +361,19 @@ mod tests {
     }
 
     #[test]
-    fn what_makes_a_ratio_unsure_is_named() {
+    fn the_reason_for_an_uncertain_ratio_is_named() {
         let shares = |contact, focal| ScaleShares { contact, focal, ..ScaleShares::default() };
-        let why = |contact, focal| why_unsure(&shares(contact, focal), 0.1);
+        let why = |contact, focal| uncertainty_reason(&shares(contact, focal), 0.1);
         assert_eq!((why(0.05, 0.0), why(0.05, 0.2)), (None, None));
         assert!(why(0.05, 0.4).unwrap().contains("--intrinsics"));
         assert!(why(0.2, 0.4).unwrap().contains("outlines") && why(f64::NAN, 0.0).is_some());
-        let torn = ScaleShares { contact: 0.05, disagreement: 0.2, ..ScaleShares::default() };
-        let said = why_unsure(&torn, 0.1).unwrap();
-        assert!(said.contains("contradict one another") && said.contains("±21 %"), "{said}");
+        let contradicting = ScaleShares { contact: 0.05, disagreement: 0.2, ..ScaleShares::default() };
+        let text = uncertainty_reason(&contradicting, 0.1).unwrap();
+        assert!(text.contains("contradict one another") && text.contains("±21 %"), "{text}");
     }
 
     #[test]
-    fn two_frames_have_an_answer_that_nothing_checks() {
+    fn two_frames_have_a_ratio_that_cannot_be_checked() {
         let world = drive(&drive::Options { num_frames: 2, ..Default::default() }, 3);
         let views = Views::new(&world.background, &world.object, &world.planes, &Options::default());
         let estimate = |views: &Views| estimate_scale(views, ScaleMethod::RobustLeastSquares, &Options::default());

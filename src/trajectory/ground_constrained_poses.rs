@@ -1,10 +1,12 @@
-//! Camera poses relative to a vehicle, from the ground alone: the vehicle is on it and points where it goes.
+//! Camera poses relative to a vehicle, from the ground alone: the vehicle is on the ground and its heading is the
+//! direction of motion.
 //!
-//! Images of an object that is small next to its distance are nearly parallel projections. Two of those leave open how
-//! far it turned between them (the bas-relief ambiguity; J. J. Koenderink and A. J. van Doorn, *Affine structure from
-//! motion*, JOSA A 1991), and more of them its mirror image, so that the model that a pair of views starts is chance.
-//! The ground removes both. With the plane of frame i, n_i · x + h_i = 0, the vehicle is at the point p_i where the
-//! ray to the ground below its middle meets the plane, and its frame is
+//! Images of an object that is small compared with its distance are nearly parallel projections. Two of those do not
+//! determine its rotation between them (the bas-relief ambiguity; J. J. Koenderink and A. J. van Doorn, *Affine
+//! structure from motion*, JOSA A 1991), and more of them do not exclude its mirror image, so that a map initialized
+//! from a pair of views is arbitrary. The ground removes both ambiguities. With the plane of frame i, n_i · x + h_i =
+//! 0, the vehicle is at the point p_i where the ray to the ground below its center intersects the plane, and its frame
+//! is
 //!
 //! ```text
 //! z = n_i,   x = the direction of the path p at i, level,   y = z × x.
@@ -20,16 +22,16 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, any_across, median};
 use crate::scene::{FrameId, GroundPlane, Reconstruction, Rect};
 
-/// Poses of the cameras in the frame of an object that stands on the ground: origin below its middle, x forward, y to
-/// the left, z up, in units of the background.
+/// Poses of the cameras in the frame of an object on the ground.
 ///
-/// A vehicle that moves by less than one of its lengths keeps one arbitrary direction; one that backs up does not turn.
+/// The origin is below the object's center, x is forward, y to the left, z up, in units of the background. A vehicle
+/// that moves by less than one of its lengths keeps one arbitrary direction; one that reverses does not turn.
 ///
 /// * `planes` – the ground below the object, in the background's frame.
-/// * `boxes` – the object in the images, parts that are hidden included.
+/// * `boxes` – the object in the images, including occluded parts.
 ///
-/// Returns camera from object for all frames that have a camera, a plane and a box, and whose ray meets the plane
-/// before the camera.
+/// Returns camera from object for all frames that have a camera, a plane and a box, and whose ray intersects the plane
+/// in front of the camera.
 pub fn ground_constrained_poses(
     background: &Reconstruction,
     planes: &BTreeMap<FrameId, GroundPlane>,
@@ -52,8 +54,8 @@ pub fn ground_constrained_poses(
             Some((line, position))
         })
         .unzip();
-    // The direction of the path is taken over a length of the vehicle to either side: positions are wrong by a tenth of
-    // one.
+    // The direction of the path is computed over a length of the vehicle to either side: positions have errors of a
+    // tenth of one.
     let Some(step) = median(rough.iter().map(|position| position.length).collect()) else { return BTreeMap::new() };
     let positions: Vec<ObjectPosition> = (0..lines.len())
         .map(|k| lines[k].position_on(&plane_near(&lines, &rough, k, step)).unwrap_or(rough[k]))
@@ -63,10 +65,10 @@ pub fn ground_constrained_poses(
     lines.iter().zip(poses).map(|(line, pose)| (line.frame, line.cam_from_world * pose)).collect()
 }
 
-/// The ray, in camera coordinates, to the point of the ground below the middle of an object.
+/// Ray, in camera coordinates, to the point of the ground below the center of an object.
 ///
-/// Of a box of height H and depth D, which is seen from an angle φ above the ground, the middle of the image shows the
-/// middle, and from there to the edge it is (H cos φ + D sin φ) / 2 down, of which H cos φ / 2 to the ground.
+/// For a box of height H and depth D in a view from the elevation angle φ, the center of the image box is the center of
+/// the object. Its lower edge is (H cos φ + D sin φ) / 2 below, and the ground point H cos φ / 2.
 fn ray_to_ground(bounds: &Rect, camera: &Camera, up_in_cam: &Vector3<f64>) -> Vector3<f64> {
     let middle = camera.ray_from_pixel(bounds.center().into());
     let sin = -up_in_cam.dot(&middle);
@@ -79,7 +81,7 @@ fn ray_to_ground(bounds: &Rect, camera: &Camera, up_in_cam: &Vector3<f64>) -> Ve
     middle + down * (share * edge_px / camera.mean_focal())
 }
 
-/// The ray to the ground below the object in a frame.
+/// Ray to the ground below the object in a frame.
 struct LineOfSight {
     frame: FrameId,
     cam_from_world: Rigid3,
@@ -91,7 +93,7 @@ struct LineOfSight {
 }
 
 impl LineOfSight {
-    /// Its intersection with a plane; `None` unless that is before the camera.
+    /// Intersection with a plane; `None` unless it is in front of the camera.
     fn position_on(&self, plane: &GroundPlane) -> Option<ObjectPosition> {
         let center = self.cam_from_world.center();
         let reach = -plane.signed_distance(center) / plane.normal.dot(&self.ray);
@@ -103,7 +105,7 @@ impl LineOfSight {
     }
 }
 
-/// The plane of the ground at a position: the median of those round it, since single ones may be wrong.
+/// Ground plane at a position: the median of the planes around it, since single ones may be wrong.
 fn plane_near(lines: &[LineOfSight], positions: &[ObjectPosition], k: usize, step: f64) -> GroundPlane {
     let [before, after] = neighbors(positions, k, step);
     let near = || lines[before..=after].iter().map(|line| &line.plane);
@@ -114,7 +116,7 @@ fn plane_near(lines: &[LineOfSight], positions: &[ObjectPosition], k: usize, ste
     GroundPlane { normal, point: ground_point - normal * height, ..lines[k].plane }
 }
 
-/// Where the object is in a frame.
+/// Position of the object in a frame.
 #[derive(Clone, Copy)]
 struct ObjectPosition {
     ground_point: Point3<f64>,
@@ -131,8 +133,9 @@ impl ObjectPosition {
     }
 }
 
-/// Directions of the object: those of its path, the last or the next one where it hardly moves, and one arbitrary
-/// direction where it does not move at all.
+/// Headings of the object, from its path.
+///
+/// Where it hardly moves, the last or the next one; one arbitrary direction if it does not move at all.
 fn directions(positions: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
     let mut found: Vec<Option<Vector3<f64>>> = (0..positions.len()).map(|k| direction(positions, k, step)).collect();
     let first = found.iter().position(Option::is_some);
@@ -141,7 +144,7 @@ fn directions(positions: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
         None => positions.first().map(|position| any_across(&position.up)),
     };
     for direction in &mut found {
-        // It does not turn round from one frame to the next, but backs up.
+        // It does not turn around from one frame to the next, but reverses.
         let turned = direction.map(|d| if last.is_some_and(|last| last.dot(&d) < 0.0) { -d } else { d });
         *direction = turned.or(last);
         last = *direction;
@@ -149,8 +152,9 @@ fn directions(positions: &[ObjectPosition], step: f64) -> Vec<Vector3<f64>> {
     found.into_iter().flatten().collect()
 }
 
-/// The direction of the path at a position: that of the parabola through it and its neighbors, which may lie at unequal
-/// distances. `None` where the object hardly moves.
+/// Direction of the path at a position; `None` where the object hardly moves.
+///
+/// It is the tangent of the parabola through the position and its neighbors, which may be at unequal distances.
 fn direction(positions: &[ObjectPosition], k: usize, step: f64) -> Option<Vector3<f64>> {
     let [before, after] =
         neighbors(positions, k, step).map(|other| positions[other].ground_point - positions[k].ground_point);
@@ -163,7 +167,7 @@ fn direction(positions: &[ObjectPosition], k: usize, step: f64) -> Option<Vector
     (along - positions[k].up * positions[k].up.dot(&along)).try_normalize(0.0)
 }
 
-/// The last position before and the first one after a position that are a step away from it, or those at the ends.
+/// Nearest positions before and after a position that are a step away from it, or those at the ends.
 fn neighbors(positions: &[ObjectPosition], k: usize, step: f64) -> [usize; 2] {
     let is_away = |other: &usize| (positions[*other].ground_point - positions[k].ground_point).norm() >= step;
     let before = (0..k).rev().find(is_away).unwrap_or(0);
@@ -182,7 +186,7 @@ mod tests {
         images.filter_map(|(id, image)| Some((id.frame(), bounds(image)?))).collect()
     }
 
-    /// Turns from the true pose of each camera to the one found, but for the turn that all have in common.
+    /// Rotation angles between true and estimated poses of each camera, without the rotation common to all, degrees.
     fn turns(world: &Drive, found: &BTreeMap<FrameId, Rigid3>) -> Vec<f64> {
         let relative: Vec<UnitQuaternion<f64>> = found
             .iter()
@@ -204,14 +208,14 @@ mod tests {
                 let found = ground_constrained_poses(&world.background, &world.planes, &boxes(&world));
                 assert_eq!(found.len(), 60);
                 let turns = turns(&world, &found);
-                // At the ends the path leads on in one direction only.
+                // At the ends the path continues in one direction only.
                 assert!(turns.iter().all(|turn| *turn < 8.0), "{turns:?}");
                 assert!(turns[5..55].iter().all(|turn| *turn < 2.0), "{turns:?}");
             }
         }
     }
 
-    /// Distances of the object's positions from the true ones, as shares of those from the camera.
+    /// Errors of the object's positions, as shares of the distance from the camera.
     fn position_errors(world: &Drive, found: &BTreeMap<FrameId, Rigid3>) -> Vec<f64> {
         let error = |(frame, pose): (&FrameId, &Rigid3)| {
             let cam_from_world = &world.background.images[&(*frame).into()].cam_from_world;
@@ -226,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn low_and_high_cameras_see_the_ground_below_the_middle_of_a_vehicle() {
+    fn positions_are_on_the_ground_below_the_center_for_low_and_high_cameras() {
         for camera_height_m in [1.4, 5.0, 20.0] {
             let options =
                 Options { camera_height_m, camera_climb_m: 0.0, distance_m: [22.0, 30.0], ..Options::default() };
@@ -254,7 +258,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_that_stands_keeps_its_direction() {
+    fn a_stationary_vehicle_keeps_its_direction() {
         let world = drive(&Options { speed_m_s: 0.0, ..Options::default() }, 3);
         let found = ground_constrained_poses(&world.background, &world.planes, &boxes(&world));
         assert_eq!(found.len(), 60);
@@ -262,13 +266,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_has_no_pose() {
+    fn frames_without_plane_or_box_have_no_pose() {
         let mut world = drive(&Options { num_frames: 8, ..Options::default() }, 3);
         let all = boxes(&world);
         assert!(ground_constrained_poses(&world.background, &world.planes, &BTreeMap::new()).is_empty());
         world.planes.pop_first();
         assert_eq!(ground_constrained_poses(&world.background, &world.planes, &all).len(), 7);
-        // Planes above the cameras are met behind them, or not at all.
+        // Rays intersect planes above the cameras behind them, or not at all.
         for plane in world.planes.values_mut() {
             plane.point += plane.normal * 1e3;
         }

@@ -1,19 +1,20 @@
-//! Which way a vehicle points.
+//! Heading of a vehicle.
 //!
-//! The direction of motion is noise while a vehicle stands. But the object's model turns with the vehicle, so that one
-//! direction in the model's frame is "forward" in all frames: it is found where the vehicle moves, and used everywhere.
+//! The direction of motion is noise while a vehicle is stationary. But the object's model turns with the vehicle, so
+//! that one direction in the model's frame is "forward" in all frames. It is estimated where the vehicle moves, and
+//! used everywhere.
 
 use nalgebra::{Unit, Vector3};
 
 use super::assemble::velocity;
 use crate::scene::{ObjectPose, ObjectTrajectory};
 
-/// The vehicle's forward direction in the object's own frame: the mean, weighted by speed, of its direction of motion
-/// turned into that frame.
+/// Forward direction of the vehicle in the object's frame.
 ///
-/// A vehicle that backs up part of the way counts as pointing the way that it goes further. `None` for a trajectory
-/// that goes nowhere, or whose directions cancel (mean length below half of what agreement would give): then positions
-/// are noise, or the object's poses do not turn with it.
+/// It is the mean, weighted by speed, of the directions of motion rotated into that frame. A vehicle that reverses for
+/// a part of the path gets the direction of the longer part. `None` for a trajectory without motion, or if the
+/// directions cancel (length of the sum below half of that of parallel directions): then the positions are noise, or
+/// the object's poses do not turn with the vehicle.
 pub fn forward_axis(poses: &[ObjectPose]) -> Option<Unit<Vector3<f64>>> {
     let (mut sum, mut length) = (Vector3::zeros(), 0.0);
     for (k, pose) in poses.iter().enumerate() {
@@ -24,8 +25,7 @@ pub fn forward_axis(poses: &[ObjectPose]) -> Option<Unit<Vector3<f64>>> {
     (sum.norm() > 0.5 * length).then(|| Unit::new_normalize(sum))
 }
 
-/// Unit direction, in the background's frame, in which the vehicle points at each pose; empty without a
-/// [`forward_axis`].
+/// Heading at each pose as a unit vector in the background's frame; empty without a [`forward_axis`].
 pub fn headings(trajectory: &ObjectTrajectory) -> Vec<Unit<Vector3<f64>>> {
     let Some(forward) = forward_axis(&trajectory.poses) else { return Vec::new() };
     trajectory.poses.iter().map(|pose| pose.world_from_object.rotation * forward).collect()
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parked_vehicle_has_no_heading() {
+    fn a_stationary_vehicle_has_no_heading() {
         let mut found = trajectory(&Options { num_frames: 5, ..Options::default() });
         for pose in &mut found.poses {
             pose.position = [1.0, 2.0, 3.0];

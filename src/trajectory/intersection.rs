@@ -1,18 +1,18 @@
-//! The scale ratio from contact with the ground: the paper's baseline.
+//! Scale ratio from contact with the ground: the paper's baseline.
 //!
-//! Some reconstructed points (of the wheels) lie on the ground. The ray from the camera to object point j meets the
-//! local plane of frame i at the parameter (eq. ray_plane_intersection_parameter; h, a as in [`View`](super::View))
+//! Some reconstructed points (of the wheels) are on the ground. The ray from the camera to object point j intersects
+//! the local plane of frame i at the parameter (eq. ray_plane_intersection_parameter; h, a as in [`View`](super::View))
 //!
 //! ```text
 //! r_ji = (p_i − c_i) · n_i / (v_ji · n_i) = −h_i / a_ji.
 //! ```
 //!
-//! The smallest of a frame (eq. r_per_image) sets the object down on the plane; the median over frames (eq. r_median)
-//! is the ratio. A ray that is parallel to the plane, or meets it behind the camera (r_ji ≤ 0), does not intersect it;
-//! a frame in which no ray does is invalid and left out.
+//! The smallest of a frame (eq. r_per_image) puts the object on the plane; the median over frames (eq. r_median) is the
+//! ratio. A ray that is parallel to the plane, or intersects it behind the camera (r_ji ≤ 0), is invalid; a frame
+//! without a valid ray is skipped.
 //!
-//! Limits: r comes out too large by clearance / height when the lowest reconstructed point floats over the ground, and
-//! too small when an outlier lies below the wheels. No spread over frames shows either, so there is no standard
+//! Limits: r is too large by clearance / height when the lowest reconstructed point is above the ground, and too small
+//! when an outlier is below the wheels. Neither appears in the spread over the frames, so that there is no standard
 //! deviation.
 
 use nalgebra::Point3;
@@ -21,13 +21,13 @@ use super::{ScaleError, View, Views};
 use crate::math::median;
 use crate::scene::FrameId;
 
-/// The answer of the baseline.
+/// Result of the baseline.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Intersection {
     /// r > 0: the median of `per_frame`.
     pub ratio: f64,
-    /// Ratio of each frame alone (eq. r_per_image), ascending by frame; without the frames in which no ray meets the
-    /// plane.
+    /// Ratio of each frame alone (eq. r_per_image), ascending by frame; without the frames in which no ray intersects
+    /// the plane.
     pub per_frame: Vec<(FrameId, f64)>,
 }
 
@@ -44,7 +44,7 @@ pub fn intersection(views: &Views) -> Result<Intersection, ScaleError> {
     Ok(Intersection { ratio, per_frame })
 }
 
-/// The ratio that sets the object down on the plane of one frame; `None` where no ray meets it.
+/// Ratio that puts the object on the plane of one frame; `None` where no ray intersects it.
 fn smallest(view: &View, points: &[Point3<f64>]) -> Option<f64> {
     let parameters = points.iter().map(|point| -view.camera_height / view.offset(point));
     parameters.filter(|r| r.is_finite() && *r > 0.0).min_by(f64::total_cmp)
@@ -81,14 +81,14 @@ mod tests {
     }
 
     #[test]
-    fn missing_wheels_lift_the_ratio_by_clearance_over_height() {
+    fn missing_wheels_raise_the_ratio_by_clearance_over_height() {
         let world = drive(&Options { has_wheels: false, camera_climb_m: 0.0, ..Options::default() }, 2);
         let too_large = solve(&world).ratio / world.ratio - 1.0;
-        // 0.37 m under a camera at 12 m; the lowest of 200 random points lies a few centimetres higher.
+        // 0.37 m under a camera at 12 m; the lowest of 200 random points is a few centimeters higher.
         assert!((0.03..0.04).contains(&too_large), "{too_large}");
     }
 
-    /// The minimum over the points leans towards small values; a few centimetres of 12 m are half a percent.
+    /// The minimum over the points is biased towards small values; a few centimeters of 12 m are half a percent.
     #[test]
     fn noise_moves_the_ratio_by_little() {
         let noise = Noise { pixel_px: 0.5, plane_height_m: 0.03, plane_tilt_deg: 0.5, bad_planes: 0.1 };
@@ -100,7 +100,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_above_the_camera_are_invalid_and_left_out() {
+    fn planes_above_the_camera_are_invalid_and_skipped() {
         let world = drive(&Options::default(), 4);
         let mut views =
             Views::new(&world.background, &world.object, &world.planes, &crate::trajectory::Options::default());

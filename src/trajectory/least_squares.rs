@@ -1,31 +1,30 @@
-//! The scale ratio from all frames at once, and how well the motion determines it.
+//! Scale ratio from all frames at once, with its determinacy by the motion.
 //!
 //! With h_i and a_ij as in [`View`](super::View), constant distance reads h_i + r a_i = d for the mean a_i of the a_ij
-//! over the object's points. The residuals e_i = h_i + r a_i − d have two sources: ground planes are off by something
-//! new in every frame (white noise), and an object's reconstruction drifts, as every chain of frames does: its depth
-//! wanders by a percent over a drive, slowly (a random walk). Plain least squares takes the drift for information, and
-//! r is wrong by up to fourteen of its standard deviations. Here
+//! over the object's points. The residuals e_i = h_i + r a_i − d have two sources. The errors of ground planes are
+//! independent in every frame (white noise). An object's reconstruction drifts, as every chain of frames does: its
+//! depth changes slowly by a percent over a drive (random walk). Plain least squares takes the drift for information,
+//! and r is wrong by up to fourteen of its standard deviations. Here
 //!
 //! ```text
 //! e_i = white_i + walk_i,   var(white_i) = σ² / w_i,   var(walk_i − walk_(i−1)) = q σ² (t_i − t_(i−1))
 //! ```
 //!
-//! with t the frame index. A Kalman filter whose state is d + walk, started without knowledge, turns the h_i and the
-//! a_i into independent innovations y_i and x_i of variance σ² F_i, and generalised least squares is
+//! with t the frame index. A Kalman filter with the state d + walk and a diffuse initial state turns the h_i and the
+//! a_i into independent innovations y_i and x_i of variance σ² F_i, and generalized least squares is
 //!
 //! ```text
 //! r = − Σ x_i y_i / F_i / Σ x_i² / F_i,      σ_r² = σ² / Σ x_i² / F_i.
 //! ```
 //!
-//! The regression takes the a_i for exact; noise in them shrinks r. With all noise theirs the ratio is
-//! (1 + (n − 2) σ_r² / r²) r; the truth lies between (R. Frisch, *Statistical Confluence Analysis*, 1934).
+//! The regression assumes exact a_i; noise in them shrinks r. If all noise is theirs, the ratio is
+//! (1 + (n − 2) σ_r² / r²) r; the truth is between both (R. Frisch, *Statistical Confluence Analysis*, 1934).
 //!
-//! q is the one of greatest restricted likelihood. The weights w_i are Tukey's, of the distance of e_i from the median
-//! of its neighbours in time: wrong planes stand out from their neighbours and lose all weight, drift does not.
+//! q maximizes the restricted likelihood. The weights w_i are Tukey's, of the distance of e_i from the median of its
+//! neighbors in time: wrong planes differ from their neighbors and lose all weight, drift does not.
 //!
-//! What r depends on is the *excitation*, the spread of a_i: the camera's height over the ground in the object's own
-//! units. When camera and object move parallel to the ground there is none, and nothing in these equations determines
-//! r.
+//! r depends on the *excitation*, the spread of a_i: the variation of the camera's height over the ground in the
+//! object's own units. When camera and object move parallel to the ground there is none, and r is undetermined.
 //!
 //! Derivation: docs/maths/scale.md.
 
@@ -35,10 +34,10 @@ use serde::{Deserialize, Serialize};
 use super::{Estimate, Options, ScaleError, Views};
 use crate::math::{STD_PER_MAD, centroid, median};
 
-/// Frames before and after one with whose median it is compared: slow drift is common to them, a wrong plane is not.
+/// Frames before and after a frame whose median it is compared with: they share slow drift, but not a wrong plane.
 const NEIGHBORS: usize = 5;
 
-/// Noise of the fit.
+/// Noise model of the fit.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct LeastSquaresOptions {
@@ -52,10 +51,10 @@ impl Default for LeastSquaresOptions {
     }
 }
 
-/// The solution over all frames.
+/// Solution over all frames.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LeastSquares {
-    /// r; of either sign, and not finite where nothing determines it.
+    /// r; of either sign, and not finite where it is undetermined.
     pub ratio: f64,
     /// Its standard deviation.
     pub std: f64,
@@ -65,45 +64,46 @@ pub struct LeastSquares {
     pub residual_std: f64,
     /// Weighted spread (standard deviation) of the camera's height over the ground in units of the object.
     pub excitation: f64,
-    /// Weighted mean over frames of the camera's height over the object, in units of the object: what `excitation` is
-    /// compared with.
+    /// Weighted mean over frames of the camera's height over the object, in units of the object, for comparison with
+    /// `excitation`.
     pub mean_height: f64,
 }
 
-/// Robust generalised least squares over all views.
+/// Robust generalized least squares over all views.
 ///
 /// # Errors
-/// [`ScaleError`] for fewer than three views (two leave no residual to judge by) or no points.
+/// [`ScaleError`] for fewer than three views (two have no residual) or no points.
 pub fn least_squares(views: &Views, options: &LeastSquaresOptions) -> Result<LeastSquares, ScaleError> {
     views.require(3)?;
     let series = Series::new(views);
     let mut weights = vec![1.0; series.heights.len()];
     let mut fit = series.fit(&weights, 0.0);
-    let next = |weights: &[f64]| if options.drift { series.likeliest_fit(weights) } else { series.fit(weights, 0.0) };
-    // It stops earlier when r no longer changes.
+    let next =
+        |weights: &[f64]| if options.drift { series.max_likelihood_fit(weights) } else { series.fit(weights, 0.0) };
+    // Ends earlier when r has converged.
     for _ in 0..50 {
-        let steps = series.steps(fit.ratio);
-        let sigma = STD_PER_MAD * median(steps.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
+        let local_residuals = series.local_residuals(fit.ratio);
+        let sigma = STD_PER_MAD * median(local_residuals.iter().map(|e| e.abs()).collect()).unwrap_or(0.0);
         if sigma <= f64::EPSILON * series.size() || !fit.ratio.is_finite() {
             break;
         }
-        // Tukey's biweight. 4.685 would keep 95 % of the efficiency on Gaussian noise, and some planes that are wrong
-        // by half a meter.
+        // Tukey's biweight. A constant of 4.685 would have 95 % efficiency on Gaussian noise, but keep some planes with
+        // errors of half a meter.
         let weight = |e: &f64| (1.0 - (e / (3.0 * sigma)).powi(2)).max(0.0).powi(2);
-        weights = steps.iter().map(weight).collect();
+        weights = local_residuals.iter().map(weight).collect();
         let last = std::mem::replace(&mut fit, next(&weights)).ratio;
         if (fit.ratio - last).abs() <= 1e-12 * fit.ratio.abs() {
             break;
         }
     }
     let found = series.summary(&fit, &weights);
-    // Where heights are wrong by so much from the beginning to the end, the spread of the a_i is wrong by it, too.
-    let left_open = views.grazing_std(found.ratio).hypot(views.plane_std) / found.excitation;
-    let std = if left_open.is_finite() { found.std.hypot(left_open) } else { found.std };
+    // Height errors of this size from the first to the last frame change the spread of the a_i by as much.
+    let systematic = views.grazing_std(found.ratio).hypot(views.plane_std) / found.excitation;
+    let std = if systematic.is_finite() { found.std.hypot(systematic) } else { found.std };
     Ok(LeastSquares { std, ..found })
 }
 
-/// Ratio of the fit, if it is one of lengths.
+/// Ratio of the fit, if it is positive.
 pub(super) fn estimate(views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
     let LeastSquares { ratio, std, .. } = least_squares(views, &options.least_squares)?;
     if !(ratio.is_finite() && ratio > 0.0) {
@@ -127,11 +127,11 @@ struct Fit {
     ratio: f64,
     std: f64,
     /// −2 log of the restricted likelihood, up to a constant.
-    unlikelihood: f64,
+    deviance: f64,
 }
 
 impl Fit {
-    const UNDETERMINED: Self = Self { ratio: f64::NAN, std: f64::INFINITY, unlikelihood: f64::INFINITY };
+    const UNDETERMINED: Self = Self { ratio: f64::NAN, std: f64::INFINITY, deviance: f64::INFINITY };
 }
 
 impl Series {
@@ -145,30 +145,30 @@ impl Series {
         }
     }
 
-    /// A length to hold residuals against, for "zero up to rounding".
+    /// Reference length for "zero up to rounding" of residuals.
     fn size(&self) -> f64 {
         self.heights.iter().fold(0.0, |m: f64, h| m.max(h.abs()))
     }
 
-    /// e_i minus the median of its neighbours in time, itself included.
-    fn steps(&self, ratio: f64) -> Vec<f64> {
+    /// e_i minus the median of its neighbors in time, itself included.
+    fn local_residuals(&self, ratio: f64) -> Vec<f64> {
         let residuals: Vec<f64> = self.heights.iter().zip(&self.offsets).map(|(h, a)| h + ratio * a).collect();
         let near = |i: usize| &residuals[i.saturating_sub(NEIGHBORS)..residuals.len().min(i + NEIGHBORS + 1)];
         residuals.iter().enumerate().map(|(i, e)| e - median(near(i).to_vec()).unwrap_or(*e)).collect()
     }
 
-    /// The fit under the drift that makes the residuals most likely.
-    fn likeliest_fit(&self, weights: &[f64]) -> Fit {
+    /// Fit with the drift of maximum likelihood.
+    fn max_likelihood_fit(&self, weights: &[f64]) -> Fit {
         // From no drift to no white noise, four to a decade.
         let drifts = std::iter::once(0.0).chain((-16..=12).map(|k| 10f64.powf(f64::from(k) / 4.0)));
         let fits = drifts.map(|drift| self.fit(weights, drift));
-        fits.min_by(|a, b| a.unlikelihood.total_cmp(&b.unlikelihood)).unwrap_or_else(|| self.fit(weights, 0.0))
+        fits.min_by(|a, b| a.deviance.total_cmp(&b.deviance)).unwrap_or_else(|| self.fit(weights, 0.0))
     }
 
     fn fit(&self, weights: &[f64], drift: f64) -> Fit {
         let mut frames = (0..self.heights.len()).filter(|&i| weights[i] > 0.0);
         let Some(mut last) = frames.next() else { return Fit::UNDETERMINED };
-        // The first frame sets the state; each further one gives an innovation. Variances are in units of σ².
+        // The first frame initializes the state; each further one gives an innovation. Variances are in units of σ².
         let (mut height, mut offset, mut variance) = (self.heights[last], self.offsets[last], 1.0 / weights[last]);
         let (mut xx, mut xy, mut yy, mut log_variance, mut n) = (0.0, 0.0, 0.0, 0.0, 1.0);
         for i in frames {
@@ -191,11 +191,7 @@ impl Series {
             return Fit::UNDETERMINED;
         }
         let variance = ((yy - xy * xy / xx).max(0.0) / freedom).max(f64::MIN_POSITIVE);
-        Fit {
-            ratio: -xy / xx,
-            std: (variance / xx).sqrt(),
-            unlikelihood: freedom * variance.ln() + log_variance + xx.ln(),
-        }
+        Fit { ratio: -xy / xx, std: (variance / xx).sqrt(), deviance: freedom * variance.ln() + log_variance + xx.ln() }
     }
 
     fn summary(&self, fit: &Fit, weights: &[f64]) -> LeastSquares {
@@ -253,12 +249,12 @@ mod tests {
         }
     }
 
-    /// An object whose depth wanders: the ratio is off by what its standard deviation says, which plain least squares
-    /// puts far too low.
+    /// An object with depth drift: the error of the ratio agrees with its standard deviation, which plain least squares
+    /// underestimates by far.
     #[test]
-    fn drift_is_no_information() {
+    fn drift_does_not_count_as_information() {
         use rand::Rng as _;
-        let mut surprises = [0.0, 0.0];
+        let mut squared_errors = [0.0, 0.0];
         for seed in 0..20 {
             let world = drive(&Options::default(), seed);
             let mut views =
@@ -271,15 +267,17 @@ mod tests {
             }
             let found = least_squares(&views, &LeastSquaresOptions::default()).unwrap();
             let plain = Series::new(&views).fit(&vec![1.0; views.views.len()], 0.0);
-            for (sum, (ratio, std)) in surprises.iter_mut().zip([(found.ratio, found.std), (plain.ratio, plain.std)]) {
+            for (sum, (ratio, std)) in
+                squared_errors.iter_mut().zip([(found.ratio, found.std), (plain.ratio, plain.std)])
+            {
                 *sum += ((ratio - world.ratio) / std).powi(2) / 20.0;
             }
         }
-        let [with, without] = surprises;
+        let [with, without] = squared_errors;
         assert!((0.3..2.5).contains(&with) && without > 5.0, "{with} {without}");
     }
 
-    /// A camera that hardly climbs, and an object whose heights have noise of half the climb.
+    /// A camera that hardly climbs, and an object whose heights have noise of half the excitation.
     #[test]
     fn the_truth_is_the_ratio_by_object_noise_where_all_noise_is_the_objects() {
         use rand::Rng as _;

@@ -1,23 +1,25 @@
-//! The scale ratio between an object's reconstruction and that of the background, and the trajectories that follow.
+//! Scale ratio between the reconstructions of an object and of the background, and the trajectories that follow.
 //!
-//! Structure from motion leaves each of the two in a unit of its own. A point o_j of the object lies, in the
-//! background's frame and at the time of frame i, at
+//! Structure from motion determines each of the two up to a scale of its own. In the background's frame, at the time of
+//! frame i, a point o_j of the object is at
 //!
 //! ```text
 //! o_ji = c_i + r v_ji,    v_ji = R_i(b)ᵀ R_i(o) (o_j − c_i(o))        (eq. object_to_background_coordinates)
 //! ```
 //!
-//! for one unknown ratio r. Vehicles stand on the ground, and that determines r: [`constant_distance`] and
-//! [`intersection`] are the paper's two estimators, to the letter; [`least_squares`] uses all frames at once and says
-//! how well the motion determines r at all. [`joint`] goes further: it adjusts the object's reconstruction again,
-//! together with the ground. [`estimate()`] runs one of
-//! the others or of nine of the literature, [`estimate_scale`] all and says whether the ratio is determined;
-//! [`assemble`] places the object; [`extents()`] measures it; [`smooth`] gives its speed in metres;
-//! [`verdicts`] judges the trajectories of a run. A vehicle whose model cannot be used gets a [`ground_track()`].
-//! The derivations are in `docs/maths/scale.md`.
-
+//! for one unknown ratio r. The contact of vehicles with the ground determines r:
 //!
-//! The estimators look at [`Views`] alone; [`place`] goes the whole way from reconstructions, planes and outlines to a
+//! * [`constant_distance`] and [`intersection`] are the paper's two estimators, unchanged.
+//! * [`least_squares`] uses all frames at once and reports how well the motion determines r.
+//! * [`joint`] adjusts the object's reconstruction together with the ground.
+//! * [`estimate()`] runs one estimator, including reference methods of the literature, but not [`joint`];
+//!   [`estimate_scale`] runs several and reports whether the ratio is determined.
+//!
+//! [`assemble`] computes the object's poses, [`extents()`] its size, and [`smooth`] its motion in meters. [`verdicts`]
+//! judges the trajectories of a run. A vehicle whose model cannot be used gets a [`ground_track()`]. The derivations
+//! are in `docs/maths/scale.md`.
+//!
+//! The estimators use [`Views`] only. [`place`] is the complete chain from reconstructions, planes and outlines to a
 //! trajectory.
 //!
 //! ```

@@ -1,9 +1,8 @@
-//! The whole way from reconstructions, planes and outlines to an object that is placed: the one call that a user of the
-//! library needs.
+//! Trajectory of an object from reconstructions, planes and outlines: the main entry point for users of the library.
 //!
 //! With the method `joint` the object's reconstruction is first adjusted together with the ground
-//! ([`joint`](super::joint())); where that cannot be done, or another method is wanted, it is taken as it is and
-//! [`estimate_scale`] finds the ratio. Either way the trajectory refers to [`PlacedObject::object`].
+//! ([`joint`](super::joint())). If that fails, or for another method, it is used unchanged and [`estimate_scale`]
+//! determines the ratio. In both cases the trajectory refers to [`PlacedObject::object`].
 
 use std::collections::BTreeMap;
 
@@ -14,44 +13,45 @@ use super::pose_error;
 use super::{Joint, ObjectDescription, Options, ScaleError, Silhouette, Views, assemble, joint};
 use crate::scene::{Frame, FrameId, GroundPlane, ObjectTrajectory, Reconstruction, ScaleEstimate, ScaleMethod};
 
-/// Where an object's model comes from.
+/// Origin of an object's model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ModelOrigin {
     /// Structure from motion: `joint` may adjust it.
     Reconstructed,
-    /// The user: it is taken as it is, whatever the method.
+    /// Given by the user: used unchanged with every method.
     Given,
 }
 
-/// Input on one object and the place around it.
+/// Input of [`place()`]: one object and the scene around it.
 #[derive(Clone, Debug)]
 pub struct Evidence<'a> {
-    /// Id, class and score, handed on to the trajectory.
+    /// Id, class and score, copied to the trajectory.
     pub description: ObjectDescription,
-    /// Where `object` comes from.
+    /// Origin of `object`.
     pub origin: ModelOrigin,
     /// The background's reconstruction.
     pub background: &'a Reconstruction,
-    /// The object's, as it was reconstructed.
+    /// The object's reconstruction, not adjusted.
     pub object: &'a Reconstruction,
     /// The local plane of each frame, in the background's frame; frames without one are absent.
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
-    /// The object's outlines; only `joint` looks at them.
+    /// The object's outlines; only `joint` uses them.
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
     /// All frames.
     pub frames: &'a [Frame],
-    /// Standard deviation of the camera's focal length as a share of it; `None` where it is given, or not known.
+    /// Relative standard deviation of the camera's focal length; `None` where the focal length is given, or the
+    /// standard deviation not known.
     pub focal_std: Option<f64>,
 }
 
-/// An object in its place.
+/// Result for one object: model, adjustment and trajectory.
 #[derive(Clone, Debug)]
 pub struct PlacedObject {
-    /// The model to which the trajectory refers: adjusted with the ground where that was done, else as it was.
+    /// The model to which the trajectory refers: adjusted with the ground where that was done, otherwise unchanged.
     pub object: Reconstruction,
-    /// Whether, and how, the model was adjusted.
+    /// Outcome of the adjustment with the ground.
     pub adjustment: Adjustment,
-    /// The trajectory, in units of the background, or why there is none.
+    /// The trajectory, in units of the background, or the reason why there is none.
     pub trajectory: Result<ObjectTrajectory, ScaleError>,
     /// Covariance of the position in each frame, in the frame and unit of the background, without that of the ratio.
     pub pose_covariances: BTreeMap<FrameId, Matrix3<f64>>,
@@ -59,46 +59,46 @@ pub struct PlacedObject {
     pub dropped: DroppedFrames,
 }
 
-/// Frames whose pose says nothing of where the vehicle is, ascending.
+/// Frames whose pose does not determine the vehicle's position, ascending.
 #[derive(Clone, Debug, Default)]
 pub struct DroppedFrames {
     /// The standard deviation of the position exceeds the size of the model.
     pub uncertain: Vec<FrameId>,
-    /// The motion before and after contradicts the position.
+    /// The motion before and after the frame contradicts the position.
     pub contradicted: Vec<FrameId>,
 }
 
 /// Outcome of the adjustment with the ground.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Adjustment {
-    /// Not wanted: another method, or a model that the user gave.
+    /// Not requested: another method, or a model given by the user.
     None,
     /// The model was adjusted.
     Done(AdjustmentFigures),
-    /// The model stays as it was.
+    /// The model is unchanged.
     Failed(ScaleError),
 }
 
-/// Results of the adjustment besides the model.
+/// Figures of the adjustment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdjustmentFigures {
-    /// Frames whose outline shows where the ground is; 0 where it was guessed from the lowest points.
+    /// Frames whose outline determines the ground; 0 where it was assumed from the lowest points.
     pub frames_with_outline: usize,
-    /// Median error of the image positions before and after, pixels.
+    /// Median reprojection error before and after, pixels.
     pub error_px: [f64; 2],
-    /// Points that were left out because their place is too uncertain.
+    /// Points that were removed because their position is too uncertain.
     pub num_uncertain: usize,
 }
 
-/// Places one object: adjusts its model if `options` want that, finds the scale ratio, and assembles the trajectory.
+/// Places one object: adjusts its model if `options` request it, estimates the scale ratio, assembles the trajectory.
 ///
-/// Never fails as a whole: [`PlacedObject::trajectory`] and [`PlacedObject::adjustment`] say what could not be done and
-/// why.
+/// Never fails as a whole: [`PlacedObject::trajectory`] and [`PlacedObject::adjustment`] contain the failed steps with
+/// their reasons.
 pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
-    let as_it_is = Views::new(evidence.background, evidence.object, evidence.planes, options);
+    let initial_views = Views::new(evidence.background, evidence.object, evidence.planes, options);
     let is_adjusted = options.method == ScaleMethod::Joint && evidence.origin == ModelOrigin::Reconstructed;
-    let adjustment = match is_adjusted.then(|| joint(evidence, &as_it_is, options)) {
-        Some(Ok(found)) => return evidence.adjusted(found, &as_it_is, options),
+    let adjustment = match is_adjusted.then(|| joint(evidence, &initial_views, options)) {
+        Some(Ok(found)) => return evidence.adjusted(found, &initial_views, options),
         Some(Err(error)) => Adjustment::Failed(error),
         None => Adjustment::None,
     };
@@ -106,26 +106,26 @@ pub fn place(evidence: &Evidence, options: &Options) -> PlacedObject {
         ScaleMethod::Joint => ScaleMethod::RobustLeastSquares,
         method => method,
     };
-    let scale = estimate_scale(&as_it_is, method, options)
+    let scale = estimate_scale(&initial_views, method, options)
         .map(|scale| with_focal(scale, evidence.focal_std, options.max_relative_std));
-    evidence.finished(evidence.object.clone(), adjustment, scale, options)
+    evidence.with_scale(evidence.object.clone(), adjustment, scale, options)
 }
 
 impl Evidence<'_> {
-    /// The object after an adjustment; `as_it_was` are the views of the model before.
-    fn adjusted(&self, found: Joint, as_it_was: &Views, options: &Options) -> PlacedObject {
+    /// Result after an adjustment; `views_before` are the views of the model before.
+    fn adjusted(&self, found: Joint, views_before: &Views, options: &Options) -> PlacedObject {
         let views = Views::new(self.background, &found.object, self.planes, options);
-        let as_reconstructed = Some(ratios_of(as_it_was, options));
-        let references = references(as_it_was, options);
+        let as_reconstructed = Some(ratios_of(views_before, options));
+        let references = references(views_before, options);
         let scale = joint_estimate(&views, &found, options, self.focal_std);
         let scale = ScaleEstimate { as_reconstructed, references, ..scale };
         let Joint { object, contact, error_px, num_uncertain, .. } = found;
         let figures = AdjustmentFigures { frames_with_outline: contact.num_frames, error_px, num_uncertain };
-        self.finished(object, Adjustment::Done(figures), Ok(scale), options)
+        self.with_scale(object, Adjustment::Done(figures), Ok(scale), options)
     }
 
-    /// The object in its place, once its scale ratio is known.
-    fn finished(
+    /// Result for an object whose scale ratio was estimated, or has failed.
+    fn with_scale(
         &self,
         object: Reconstruction,
         adjustment: Adjustment,
@@ -137,7 +137,7 @@ impl Evidence<'_> {
         if let Ok(trajectory) = &mut trajectory {
             pose_covariances = pose_error::pose_covariances(self.background, &object, trajectory.scale.ratio);
             if self.origin == ModelOrigin::Reconstructed && !options.method_only {
-                dropped = pose_error::drop_wrong(trajectory, &pose_covariances, self.background, &object);
+                dropped = pose_error::drop_outliers(trajectory, &pose_covariances, self.background, &object);
             }
         }
         PlacedObject { object, adjustment, trajectory, pose_covariances, dropped }
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn a_reconstructed_object_is_adjusted_and_says_what_it_was_before() {
+    fn a_reconstructed_object_is_adjusted_and_keeps_its_earlier_ratios() {
         let (world, none) = (world(), BTreeMap::new());
         let placed = place(&evidence(&world, &none, ModelOrigin::Reconstructed), &Options::default());
         assert!(matches!(placed.adjustment, Adjustment::Done(_)), "{:?}", placed.adjustment);
@@ -196,7 +196,7 @@ mod tests {
     }
 
     #[test]
-    fn the_deviation_is_the_sum_of_its_shares_and_grows_with_the_focal_lengths() {
+    fn the_std_is_the_sum_of_its_shares_and_grows_with_that_of_the_focal_length() {
         let (world, none) = (world(), BTreeMap::new());
         for method in [ScaleMethod::Joint, ScaleMethod::RobustLeastSquares] {
             let options = Options { method, ..Options::default() };
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_given_model_and_another_method_leave_the_model_as_it_is() {
+    fn a_given_model_and_another_method_leave_the_model_unchanged() {
         let (world, none) = (world(), BTreeMap::new());
         let contact = Options { method: ScaleMethod::Intersection, ..Options::default() };
         for (origin, options, method) in [
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_placed_says_why() {
+    fn failures_are_reported_with_their_reasons() {
         let (mut world, none) = (world(), BTreeMap::new());
         world.planes.clear();
         let placed = place(&evidence(&world, &none, ModelOrigin::Reconstructed), &Options::default());

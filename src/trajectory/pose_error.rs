@@ -1,9 +1,9 @@
 //! Error of an object's position in single frames.
 //!
-//! The scale ratio's error is common to all frames. What a frame adds is the error of its own pose relative to the
-//! model: with the camera in the frame of the object's center, x_j = ω × R (X_j − c) + p, the information of the pixels
-//! is Σ Jⱼᵀ Jⱼ / σ² for J = ∂pixel/∂(ω, p), and the block of p in its inverse is the covariance of the position. Few
-//! points close to one another leave the distance open: it has the error σ z² / (f · spread · √n).
+//! The error of the scale ratio is common to all frames. The individual error of a frame is that of its pose relative
+//! to the model. With x_j = ω × R (X_j − c) + p in the frame of the camera, c the object's center, the information of
+//! the pixels is Σ Jⱼᵀ Jⱼ / σ² for J = ∂pixel/∂(ω, p), and the block of p in its inverse is the covariance of the
+//! position. Few points close to one another determine the distance poorly: its error is σ z² / (f · spread · √n).
 
 use std::collections::BTreeMap;
 
@@ -16,12 +16,14 @@ use super::smoother::{PositionError, PositionMeasurement, Residual, residuals};
 use crate::math::quantile_range;
 use crate::scene::{FrameId, Image, ObjectPose, ObjectTrajectory, Reconstruction};
 
-/// Least standard deviation of an observation, pixels: corners are not found better, and of the few that are left at
-/// the end of a track the residuals are fitted away.
+/// Minimum standard deviation of an observation, pixels: corners are not localized better, and the residuals of the few
+/// that are left at the end of a track are too small by overfitting.
 pub(super) const MIN_PIXEL_STD: f64 = 0.3;
 
 /// Covariance of an object's position in each frame, in the frame and unit of the background, without that of the
-/// ratio. Frames whose pixels determine no pose have an infinite one, and are absent.
+/// ratio.
+///
+/// Frames whose pixels do not determine a pose have an infinite covariance, and are absent.
 pub(super) fn pose_covariances(
     background: &Reconstruction,
     object: &Reconstruction,
@@ -60,8 +62,8 @@ fn position_covariance(object: &Reconstruction, image: &Image, center: Point3<f6
     is_covariance.then_some(covariance)
 }
 
-/// Takes out the poses that say nothing of where the vehicle is. All stay where hardly any would be left.
-pub(super) fn drop_wrong(
+/// Removes poses that do not determine the vehicle's position; none if fewer than four would be left.
+pub(super) fn drop_outliers(
     trajectory: &mut ObjectTrajectory,
     covariances: &BTreeMap<FrameId, Matrix3<f64>>,
     background: &Reconstruction,
@@ -72,14 +74,14 @@ pub(super) fn drop_wrong(
     };
     let poses = &mut trajectory.poses;
     let uncertain = uncertain(poses, covariances, size);
-    let uncertain = take_out(poses, uncertain);
+    let uncertain = remove_frames(poses, uncertain);
     let contradicted = contradicted(poses, covariances, background, size);
-    let contradicted = take_out(poses, contradicted);
+    let contradicted = remove_frames(poses, contradicted);
     DroppedFrames { uncertain, contradicted }
 }
 
-fn take_out(poses: &mut Vec<ObjectPose>, frames: Vec<FrameId>) -> Vec<FrameId> {
-    // Fewer than four have no smooth path.
+fn remove_frames(poses: &mut Vec<ObjectPose>, frames: Vec<FrameId>) -> Vec<FrameId> {
+    // The smoother needs four positions.
     if poses.len() < 4 + frames.len() {
         return Vec::new();
     }
@@ -93,21 +95,22 @@ fn uncertain(poses: &[ObjectPose], covariances: &BTreeMap<FrameId, Matrix3<f64>>
     poses.iter().filter(|pose| std(pose) > size).map(|pose| pose.frame).collect()
 }
 
-/// Standard deviations from the smooth motion beyond which a position contradicts it: right ones are up to 3 off, one
-/// of a mask that slipped to a parked car was 800.
-const CONTRADICTS: f64 = 6.0;
-/// The least such distance, as a share of the model's diagonal: the smoothed path follows smaller ones.
-const MATTERS: f64 = 0.25;
+/// Residual from the smooth motion, in standard deviations, beyond which a position is an outlier: correct ones have up
+/// to 3, one of a mask that slipped to a parked car had 800.
+const OUTLIER_STDS: f64 = 6.0;
+/// Minimum residual of an outlier, as a share of the model's diagonal: the smoothed path follows smaller ones.
+const OUTLIER_SHARE: f64 = 0.25;
 
-/// Frames whose position the motion before and after contradicts: their pixels agree with one another, but are not
-/// those of the vehicle, as where its mask slips to another vehicle while it is hidden.
+/// Frames whose position contradicts the motion before and after.
+///
+/// Their pixels are consistent, but not those of the vehicle: its mask may slip to another vehicle during an occlusion.
 fn contradicted(
     poses: &[ObjectPose],
     covariances: &BTreeMap<FrameId, Matrix3<f64>>,
     background: &Reconstruction,
     size: f64,
 ) -> Vec<FrameId> {
-    // The smoother knows how vehicles accelerate in meters; the diagonal of a car is 5 m.
+    // The smoother's model of acceleration is in meters; the diagonal of a car is 5 m.
     let unit = 5.0 / size;
     let measurement = |pose: &ObjectPose| {
         Some(PositionMeasurement {
@@ -121,12 +124,12 @@ fn contradicted(
     let measured: Option<Vec<_>> = poses.iter().map(measurement).collect();
     let Some(residuals) = measured.and_then(|measured| residuals(&measured)) else { return Vec::new() };
     let is_contradicted =
-        |residual: &Residual| residual.deviation > CONTRADICTS && residual.distance_m > MATTERS * unit * size;
+        |residual: &Residual| residual.normalized > OUTLIER_STDS && residual.distance_m > OUTLIER_SHARE * unit * size;
     let found = poses.iter().zip(&residuals).filter(|(_, residual)| is_contradicted(residual));
     found.map(|(pose, _)| pose.frame).collect()
 }
 
-/// Diagonal of the box around the points that count.
+/// Diagonal of the box around the reliable points.
 fn model_size(object: &Reconstruction) -> Option<f64> {
     let points = solid_points(object, &ContactOptions::default());
     let mut squares = 0.0;
@@ -146,7 +149,7 @@ mod tests {
     use rand::Rng as _;
     use rand_distr::StandardNormal;
 
-    /// A vehicle that drives away from 30 to 110 m, of which the last frames see five points.
+    /// A vehicle that drives away from 30 to 110 m and has five observed points in the last frames.
     fn drives_away(seed: u64) -> Drive {
         let options = drive::Options { distance_m: [30.0, 110.0], ..drive::Options::default() };
         let mut world = drive(&options, seed);
@@ -167,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn the_deviation_grows_where_few_points_are_left_and_far_away() {
+    fn the_std_grows_with_few_points_and_with_the_distance() {
         let world = drives_away(1);
         let found = pose_covariances(&world.background, &world.object, world.ratio);
         let std = |frame: u32| std_m(&world, &found[&FrameId(frame)]);
@@ -176,8 +179,8 @@ mod tests {
     }
 
     #[test]
-    fn stated_deviations_are_those_of_resected_poses() {
-        // Poses of the object's cameras are moved as their own covariance says; the positions follow.
+    fn stds_are_those_of_resected_poses() {
+        // Poses of the object's cameras are perturbed according to their covariance; the positions follow.
         let options =
             drive::Options { noise: Noise { pixel_px: 0.3, ..Noise::default() }, ..drive::Options::default() };
         let (mut within, mut all) = ([0.0; 2], 0.0);
@@ -201,12 +204,12 @@ mod tests {
                 all += 1.0;
             }
         }
-        // The synthetic noise of poses is that of their observations, roughly.
+        // The synthetic noise of poses is roughly that of their observations.
         assert!(within[1] / all > 0.9, "{:?}", within.map(|count| count / all));
     }
 
     #[test]
-    fn positions_that_are_open_by_more_than_the_vehicle_are_dropped_and_named() {
+    fn positions_with_a_std_above_the_size_of_the_vehicle_are_dropped() {
         let mut world = drives_away(2);
         for frame in 57..60 {
             let image = world.object.images.get_mut(&ImageId::from(FrameId(frame))).unwrap();
@@ -221,20 +224,20 @@ mod tests {
         let mut poses = super::super::assemble::poses(&world.background, &world.object, world.ratio, &world.frames);
         let size = world.ratio * model_size(&world.object).unwrap();
         let frames = uncertain(&poses, &covariances, size);
-        let dropped = take_out(&mut poses, frames);
+        let dropped = remove_frames(&mut poses, frames);
         assert!(dropped.len() >= 3 && dropped.iter().all(|frame| frame.0 >= 52), "{dropped:?}");
         assert_eq!(poses.len(), 60 - dropped.len());
-        // Of a model without observations nothing is known, and everything stays.
+        // A model without observations has no covariances, and all poses stay.
         world.object.images.values_mut().for_each(|image| image.observations.clear());
         let none = pose_covariances(&world.background, &world.object, world.ratio);
         let frames = uncertain(&poses, &none, size);
-        assert!(none.is_empty() && !frames.is_empty() && take_out(&mut poses, frames).is_empty());
+        assert!(none.is_empty() && !frames.is_empty() && remove_frames(&mut poses, frames).is_empty());
     }
 
     #[test]
-    fn a_position_off_the_path_is_contradicted_before_a_gap_and_within() {
-        // The camera of the object is moved along the vehicle, as by the points of a parked car that its mask slipped
-        // to: they agree with one another, the path does not.
+    fn a_position_off_the_path_is_an_outlier_before_a_gap_and_within() {
+        // The camera of the object is moved along the vehicle, as by the points of a parked car to which its mask
+        // slipped: they are consistent, the path is not.
         let mut world = drive(&drive::Options::default(), 4);
         let forward = Vector3::x();
         for frame in 31..45 {
@@ -258,8 +261,8 @@ mod tests {
     }
 
     #[test]
-    fn a_jump_at_the_end_of_a_path_is_within_its_deviation() {
-        // Errors as large as the covariances say, in the last frames metres: the smoothed end must cover the truth.
+    fn a_jump_at_the_end_of_a_path_is_within_its_std() {
+        // Errors according to the covariances, meters in the last frames: the smoothed end must cover the truth.
         let world = drives_away(3);
         let covariances = pose_covariances(&world.background, &world.object, world.ratio);
         let rng = &mut seeded_rng(3, 1);

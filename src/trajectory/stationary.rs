@@ -1,4 +1,4 @@
-//! Stationary vehicles that the cameras of the background reconstruct.
+//! Stationary vehicles, triangulated from the cameras of the background.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -9,22 +9,23 @@ use crate::scene::{
     CameraPathRatio, ImageId, ObjectPose, Point3d, Ratios, Reconstruction, ScaleEstimate, ScaleMethod, ScaleShares,
 };
 
-/// A stationary vehicle whose points were triangulated from the background's cameras: its model is in the background's
-/// frame and unit, so that the ratio is one.
+/// Places a stationary vehicle whose points were triangulated from the background's cameras.
 ///
-/// * `placed` – the same vehicle with its ratio from the ground, which is stated next to it.
-/// * `accepted` – largest relative standard deviation of a determined ratio.
+/// Its model is in the background's frame and unit, so that the ratio is one.
+///
+/// * `placed` – the same vehicle with its ratio from the ground, which is reported for comparison.
+/// * `accepted` – maximum relative standard deviation of a determined ratio.
 ///
 /// `None` for a model without points.
 pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f64) -> Option<PlacedObject> {
     let model = evidence.object;
-    // Turn of the rays to a point between its cameras, and standard deviation of a ray's direction, radians.
+    // Parallax angle of a point between its cameras, and standard deviation of a ray's direction, radians.
     let parallax = median(model.points.values().map(|point| widest_angle_of(point, model)).collect())?;
     let noise_px = model.mean_reprojection_error_px()?.max(MIN_PIXEL_STD);
     let noise = noise_px / model.cameras.values().next()?.mean_focal();
-    let object = compacted(model, noise);
-    // A track drifts, so that all of its observations count as the two at its ends; drifts of neighboring points are
-    // alike, so that all points count as one.
+    let object = with_depth_prior(model, noise);
+    // A track drifts, so that its observations count as two, those at its ends. Drifts of neighboring points are
+    // correlated, so that all points count as one.
     let std = 2f64.sqrt() * noise / parallax;
     let by_ground = placed.trajectory.as_ref().ok().map(|trajectory| &trajectory.scale);
     let camera_path = by_ground.map(|scale| CameraPathRatio {
@@ -49,7 +50,7 @@ pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f6
         ..before
     };
     let trajectory = evidence.trajectory(&object, scale).ok()?;
-    // The pose of a frame is that of the background's camera: what is left is the noise of the image across the ray.
+    // The pose of a frame is that of the background's camera: only the image noise perpendicular to the ray remains.
     let covariance = |pose: &ObjectPose| {
         let center = evidence.background.images.get(&ImageId::from(pose.frame))?.cam_from_world.center().coords;
         let std = noise * (Vector3::from(pose.position) - center).norm();
@@ -60,14 +61,14 @@ pub fn place_stationary(evidence: &Evidence, placed: &PlacedObject, accepted: f6
     Some(PlacedObject { object, adjustment, trajectory: Ok(trajectory), pose_covariances, dropped })
 }
 
-/// The model with its points moved along their rays by what is known of a vehicle: it is about as deep as wide.
+/// Model with its points moved along their rays under a prior on vehicles: depth similar to width.
 ///
 /// Depths of single points are poor where the camera moves little. With q_j the inverse distance of a point from the
-/// middle camera, σ_j its standard deviation by the parallax of the point, and q the mean by inverse variances, q_j has
-/// the prior q ± q ρ, ρ the spread of the directions to the points.
+/// middle camera, σ_j its standard deviation from the parallax of the point, and q the mean by inverse variances, q_j
+/// has the prior q ± q ρ, ρ the spread of the directions to the points.
 ///
 /// * `noise` – standard deviation of a ray's direction, radians.
-fn compacted(object: &Reconstruction, noise: f64) -> Reconstruction {
+fn with_depth_prior(object: &Reconstruction, noise: f64) -> Reconstruction {
     let mut object = object.clone();
     let Some(middle) = object.images.values().nth(object.images.len() / 2) else { return object };
     let center = middle.cam_from_world.center();
@@ -82,7 +83,7 @@ fn compacted(object: &Reconstruction, noise: f64) -> Reconstruction {
     let mean = usable().map(|(_, q, std)| q * std.powi(-2)).sum::<f64>() / weight;
     let axis = usable().map(|(direction, ..)| direction).sum::<Vector3<f64>>().normalize();
     let spread = usable().map(|(direction, ..)| (direction - axis).norm_squared()).sum::<f64>() / found.len() as f64;
-    // Width and depth of a vehicle differ by up to a factor of 2.5, either way.
+    // Width and depth of a vehicle differ by a factor of up to 2.5 in either direction.
     let prior_std = 1.5 * mean * spread.sqrt();
     for (point, (direction, q, std)) in object.points.values_mut().zip(&found) {
         let share = prior_std.powi(2) / (prior_std.powi(2) + std.powi(2));
@@ -94,7 +95,7 @@ fn compacted(object: &Reconstruction, noise: f64) -> Reconstruction {
     object
 }
 
-/// The widest angle between the rays to a point, radians.
+/// Widest angle between the rays to a point, radians.
 fn widest_angle_of(point: &Point3d, object: &Reconstruction) -> f64 {
     let images = point.track.iter().filter_map(|element| object.images.get(&element.image));
     widest_angle(point.position, images.map(|image| image.cam_from_world.center()))
@@ -132,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn a_parked_vehicle_is_where_its_points_are() {
+    fn a_stationary_vehicle_is_at_the_position_of_its_points() {
         let (world, object) = shaken(0.0, 1.0);
         let none = BTreeMap::new();
         let evidence = evidence(&world, &object, &world.planes, &none);
@@ -151,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn points_of_little_parallax_are_drawn_to_the_others() {
+    fn points_of_small_parallax_are_moved_to_the_others() {
         let (_, object) = shaken(0.0, 1.0);
         let mut noisy = object.clone();
         let eye = object.images.values().nth(object.images.len() / 2).unwrap().cam_from_world.center();
@@ -163,7 +164,7 @@ mod tests {
             from_eye.iter().copied().fold(0.0, f64::max) - from_eye.iter().copied().fold(f64::INFINITY, f64::min)
         };
         let rays_std = 0.2;
-        assert!(extent(&compacted(&noisy, rays_std)) < 0.5 * extent(&noisy));
-        assert!((extent(&compacted(&object, 1e-6)) / extent(&object) - 1.0).abs() < 0.01);
+        assert!(extent(&with_depth_prior(&noisy, rays_std)) < 0.5 * extent(&noisy));
+        assert!((extent(&with_depth_prior(&object, 1e-6)) / extent(&object) - 1.0).abs() < 0.01);
     }
 }

@@ -1,4 +1,4 @@
-//! Views: cameras with their local ground planes, reduced to the numbers that the scale equations need.
+//! Views: cameras with their local ground planes, reduced to the quantities of the scale equations.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,18 +8,20 @@ use super::{Options, ScaleError};
 use crate::math::{centroid, median};
 use crate::scene::{FrameId, GroundPlane, Image, PlaneBasis, Reconstruction};
 
-/// [`View::lever`] of numbers. What an angle is wrong by lifts the object in proportion to its distance, so that a
-/// vehicle far ahead of a low camera is off by much more than one below a drone.
+/// [`View::lever`] from camera height and distance.
+///
+/// An angular error displaces the object vertically in proportion to its distance: a vehicle far ahead of a low camera
+/// has a much larger error than one below a drone.
 pub(super) fn lever(camera_height: f64, distance: f64) -> f64 {
     camera_height.abs().max(0.5 * distance)
 }
 
-/// Standard deviation of the planes' height that all frames have in common: the median.
+/// Standard deviation of the planes' height that all frames share: the median.
 pub(super) fn common_height_std<'a>(planes: impl Iterator<Item = &'a GroundPlane>) -> f64 {
     median(planes.map(|plane| plane.common_height_std).filter(|std| std.is_finite()).collect()).unwrap_or(0.0)
 }
 
-/// Mean direction of the ground's normals in the object's frame, and the median angle between it and them, radians.
+/// Mean direction of the plane normals in the object's frame, and the median angle to it, radians.
 pub(super) fn mean_normal(views: &Views) -> Option<(Vector3<f64>, f64)> {
     let normals = || views.views.iter().map(|view| view.normal_in_object);
     let mean = normals().sum::<Vector3<f64>>().try_normalize(f64::EPSILON)?;
@@ -27,8 +29,10 @@ pub(super) fn mean_normal(views: &Views) -> Option<(Vector3<f64>, f64)> {
     Some((mean, angle))
 }
 
-/// One camera with its local ground plane. With it the distance of object point j to the plane is h + r a_j
-/// (eq. ground_plane_distance with eq. object_to_background_coordinates put in).
+/// Camera with its local ground plane.
+///
+/// The distance of object point j to the plane is h + r a_j (eq. ground_plane_distance with
+/// eq. object_to_background_coordinates substituted).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct View {
     /// The frame.
@@ -37,18 +41,18 @@ pub struct View {
     pub camera_height: f64,
     /// R(o)ᵀ R(b) n: the plane's normal in the object's frame.
     pub normal_in_object: Vector3<f64>,
-    /// The camera's centre in the object's frame, c(o).
+    /// The camera's center in the object's frame, c(o).
     pub center_in_object: Point3<f64>,
     /// The camera's center in the background's frame, c.
     pub center_in_background: Point3<f64>,
-    /// R(b)ᵀ R(o): turns directions of the object's frame into the background's.
+    /// R(b)ᵀ R(o): rotation from the object's frame to the background's.
     pub background_from_object: UnitQuaternion<f64>,
     /// Standard deviation of the plane's height below the object, units of the background.
     pub height_std: f64,
 }
 
 impl View {
-    /// From the two cameras of a frame and its plane.
+    /// View from the two cameras of a frame and its plane.
     pub fn new(frame: FrameId, in_background: &Image, in_object: &Image, plane: &GroundPlane) -> Self {
         let normal_in_cam = in_background.cam_from_world.rotation * plane.normal;
         Self {
@@ -62,20 +66,20 @@ impl View {
         }
     }
 
-    /// The length of which errors of the object's height over its plane are a share, for one of its points: the
-    /// camera's height over it, or half of the distance where that is more (docs/maths/scale.md, eq. 6a).
+    /// Length to which errors of the height of one of the object's points over its plane are proportional: the camera's
+    /// height over the plane, or half of the distance where that is larger (docs/maths/scale.md, eq. 6a).
     pub fn lever(&self, point_in_object: &Point3<f64>, ratio: f64) -> f64 {
         lever(self.camera_height, ratio.abs() * (point_in_object - self.center_in_object).norm())
     }
 
-    /// a_j = n · v_j = (R(o)ᵀ R(b) n) · (o_j − c(o)): how far point j lies above (below: negative) the camera along the
-    /// plane's normal, in units of the object.
+    /// a_j = n · v_j = (R(o)ᵀ R(b) n) · (o_j − c(o)): height of point j above the camera along the plane's normal
+    /// (negative: below), in units of the object.
     pub fn offset(&self, point_in_object: &Point3<f64>) -> f64 {
         self.normal_in_object.dot(&(point_in_object - self.center_in_object))
     }
 }
 
-/// Everything that the estimators look at: the views of one object, and the object's points.
+/// Input of the estimators: the views of one object, and the object's points.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Views {
     /// Frames with both cameras and a plane, ascending.
@@ -92,13 +96,13 @@ pub struct Views {
     /// Largest assumed drift of the object's height over its planes, as a share of [`View::lever`]
     /// (`scale.joint.sigma_distance`).
     pub max_drift: f64,
-    /// True if the camera does not translate: then its height over the ground shows no ratio.
+    /// True if the camera does not translate: then its height over the ground does not determine a ratio.
     pub camera_hovers: bool,
 }
 
 impl Views {
-    /// Pairs the images of both models by name and keeps those whose frame has a plane. Views and points with numbers
-    /// that are not finite are left out.
+    /// Pairs the images of both models by name and keeps those whose frame has a plane. Views and points that are not
+    /// finite are skipped.
     pub fn new(
         background: &Reconstruction,
         object: &Reconstruction,
@@ -119,14 +123,17 @@ impl Views {
             points: object.finite_positions(),
             num_paired: paired.len(),
             num_planes: planes.len(),
-            plane_std: change_of_basis(planes),
+            plane_std: basis_change_std(planes),
             max_drift: options.joint.max_drift(),
             camera_hovers: planes.values().any(|plane| plane.basis == PlaneBasis::Vehicles),
         }
     }
 
-    /// Standard deviation of the object's height over its planes that goes on for many frames and grows with the
-    /// distance (see [`View::lever`]), beyond that seen from above; units of the background. The median over the views.
+    /// Standard deviation of the drift of the object's height over its planes that grows with the distance, units of
+    /// the background.
+    ///
+    /// It persists over many frames. Of the drift proportional to [`View::lever`] it is the part beyond that in a view
+    /// from above: the median over the views.
     pub(super) fn grazing_std(&self, ratio: f64) -> f64 {
         let middle = centroid(&self.points);
         let beyond = |view: &View| {
@@ -149,8 +156,8 @@ impl Views {
     }
 }
 
-/// The median deviation of planes that rest on different things, 0 of such that rest on the same.
-fn change_of_basis(planes: &BTreeMap<FrameId, GroundPlane>) -> f64 {
+/// Median standard deviation of the heights of planes with different bases; 0 if all have the same basis.
+fn basis_change_std(planes: &BTreeMap<FrameId, GroundPlane>) -> f64 {
     let bases: BTreeSet<PlaneBasis> = planes.values().map(|plane| plane.basis).collect();
     let stds = planes.values().map(|plane| plane.height_std).filter(|std| std.is_finite() && bases.len() > 1);
     median(stds.collect()).unwrap_or(0.0)

@@ -1,7 +1,7 @@
 //! Matching of descriptors between two images.
 //!
-//! All similarities of two sets of descriptors are computed, in whole numbers. A match is mutual, and better than the
-//! second best in its row and its column by Lowe's ratio.
+//! All similarities of two sets of descriptors are computed, in integers. A match is mutual, and better than the second
+//! best in its row and its column by Lowe's ratio.
 
 mod products;
 
@@ -12,14 +12,14 @@ use super::rootsift::{DESCRIPTOR_LEN, DESCRIPTOR_NORM, Features};
 use crate::checks::{Checked, within};
 use products::Best;
 
-/// When two features match.
+/// Options of descriptor matching.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(default, deny_unknown_fields)]
 pub struct MatchOptions {
-    /// Largest ratio of the distances to the best and the second best candidate.
+    /// Maximum ratio of the distances to the best and the second best candidate.
     #[schemars(extend("unit" = "ratio"))]
     pub max_ratio: f32,
-    /// Largest distance of two descriptors of length 1: 0 for equal ones, 1.41 for those that have nothing in common.
+    /// Maximum distance of two descriptors of length 1: 0 for equal ones, 1.41 for those that have nothing in common.
     #[schemars(extend("unit" = "distance"))]
     pub max_distance: f32,
 }
@@ -31,7 +31,7 @@ impl Default for MatchOptions {
 }
 
 impl MatchOptions {
-    /// Rejects what cannot be worked with.
+    /// Rejects options that are out of range.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -48,17 +48,17 @@ impl Best {
             |product: i16| (2.0 - 2.0 * f32::from(product) / (DESCRIPTOR_NORM * DESCRIPTOR_NORM)).max(0.0).sqrt();
         let first = distance(self.first);
         let second = distance(self.second);
-        // Two candidates at distance nought are twins, whatever their rounding says.
+        // Two candidates at distance zero, up to rounding, are duplicates.
         first <= options.max_distance && first <= options.max_ratio * second && second > 0.02
     }
 }
 
-/// Pairs of feature indices, ascending in the first.
+/// Matches the features of two images; pairs of indices, ascending in the first.
 pub fn match_features(a: &Features, b: &Features, options: &MatchOptions) -> Vec<[u32; 2]> {
     match_strongest(a, b, usize::MAX, options)
 }
 
-/// The same among the first features of both: the strongest, where they come from [`super::rootsift::extract`].
+/// Matches the first features of two images: the strongest, if they come from [`super::rootsift::extract`].
 pub fn match_strongest(a: &Features, b: &Features, count: usize, options: &MatchOptions) -> Vec<[u32; 2]> {
     let part = |f: &'_ Features| f.len().min(count) * DESCRIPTOR_LEN;
     let (best_of_row, best_of_column) = products::best(&a.descriptors[..part(a)], &b.descriptors[..part(b)]);
@@ -74,7 +74,7 @@ fn mutual_matches(best_of_row: &[Best], best_of_column: &[Best], options: &Match
     best_of_row.iter().enumerate().filter_map(mutual).collect()
 }
 
-/// The same among the pairs for which `may` holds, one by one: for pairs of which geometry leaves few.
+/// Matches only the pairs for which `may` is true, compared one by one: for pairs of which geometry leaves few.
 pub fn match_where(
     a: &Features,
     b: &Features,
@@ -122,14 +122,14 @@ mod tests {
     }
 
     #[test]
-    fn noisy_copies_are_found_in_any_order_and_twins_are_refused() {
+    fn noisy_copies_are_matched_in_any_order_and_duplicates_are_rejected() {
         let a = features(600, |i| unit(i as u64, 0.0));
         let b = features(500, |j| unit((499 - j) as u64, 0.05));
         let found = match_features(&a, &b, &MatchOptions::default());
         assert_eq!(found.len(), 500);
         assert!(found.iter().all(|[i, j]| i + j == 499));
-        let twins = features(2, |_| unit(3, 0.0));
-        assert!(match_features(&a, &twins, &MatchOptions::default()).is_empty());
+        let duplicates = features(2, |_| unit(3, 0.0));
+        assert!(match_features(&a, &duplicates, &MatchOptions::default()).is_empty());
         assert!(match_features(&a, &Features::default(), &MatchOptions::default()).is_empty());
         assert!(match_features(&Features::default(), &a, &MatchOptions::default()).is_empty());
     }

@@ -9,11 +9,11 @@ use pulp::bytemuck;
 
 use crate::features::rootsift::DESCRIPTOR_LEN;
 
-/// Vectors side by side in a block.
+/// Number of vectors in a block.
 const LANES: usize = 16;
-/// Vectors that pass over the blocks together.
+/// Number of vectors that are compared with the blocks together.
 const QUERIES: usize = 4;
-/// Blocks that they meet at a time.
+/// Number of blocks that are compared at a time.
 const BLOCKS: usize = 2;
 
 type Block = [[u8; 2 * LANES]; DESCRIPTOR_LEN / 2];
@@ -75,7 +75,7 @@ impl BestLanes {
     }
 }
 
-/// The best column of every row and the best row of every column, of the products of two lists of descriptors.
+/// Best column of every row and best row of every column, of the products of two lists of descriptors.
 pub(super) fn best(rows: &[u8], columns: &[u8]) -> (Vec<Best>, Vec<Best>) {
     #[cfg(target_arch = "x86_64")]
     if let Some(simd) = pulp::x86::V3::try_new() {
@@ -125,8 +125,9 @@ fn best_with(
     (of_rows, lanes.take(num_columns).map(one).collect())
 }
 
-/// Sixteen vectors to a block, two entries of each after one another; as many blocks as come in groups, filled up with
-/// zeros.
+/// Packs sixteen vectors to a block, with pairs of entries interleaved.
+///
+/// The number of blocks is padded with zeros to a multiple of [`BLOCKS`].
 fn packed(vectors: &[u8]) -> Vec<Block> {
     let (vectors, _) = vectors.as_chunks::<DESCRIPTOR_LEN>();
     let num_blocks = vectors.len().div_ceil(LANES).next_multiple_of(BLOCKS);
@@ -140,7 +141,7 @@ fn packed(vectors: &[u8]) -> Vec<Block> {
     blocks
 }
 
-/// By the instruction that multiplies bytes and adds neighbours.
+/// Products by the instruction that multiplies bytes and adds neighbors.
 #[cfg(target_arch = "x86_64")]
 #[inline(always)]
 fn wide_products(
@@ -163,8 +164,9 @@ fn wide_products(
     sums.map(|sums| sums.map(bytemuck::cast))
 }
 
-/// By the instruction that multiplies eight bytes and adds the products to eight sums of sixteen bits, after the two
-/// entries of each vector have been taken apart.
+/// Products by the instruction that multiplies eight bytes and adds the products to eight sums of sixteen bits.
+///
+/// The two entries of each vector are deinterleaved before.
 #[cfg(target_arch = "aarch64")]
 #[inline(always)]
 fn neon_products(
@@ -194,7 +196,7 @@ fn neon_products(
     sums.map(|sums| sums.map(bytemuck::cast))
 }
 
-/// The same by plain arithmetic.
+/// Products by plain arithmetic.
 #[inline(always)]
 fn plain_products(queries: &[&[u8; DESCRIPTOR_LEN]; QUERIES], blocks: &[Block; BLOCKS]) -> [Products; BLOCKS] {
     let mut sums = [[[0i16; LANES]; QUERIES]; BLOCKS];
@@ -250,7 +252,7 @@ mod tests {
             let expected = (naive(&rows, &columns), naive(&columns, &rows));
             let mut found = vec![best(&rows, &columns), best_with(&rows, &columns, plain_products)];
             for (of_rows, of_columns) in &mut found {
-                // Where there is but one candidate, the padding is the second.
+                // With only one candidate, the padding is the second.
                 for best in of_rows.iter_mut().chain(of_columns.iter_mut()) {
                     if n.min(m) == 1 && best.second == 0 {
                         best.second = -1;

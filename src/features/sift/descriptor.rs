@@ -1,13 +1,13 @@
-//! Direction and descriptor of a keypoint, from the gradients round it.
+//! Direction and descriptor of a keypoint, from the gradients around it.
 
 use std::f32::consts::{PI, TAU};
 
 use super::ScaleSpacePosition;
 use super::scale_space::Plane;
 
-/// Cells of a descriptor along each axis.
+/// Number of cells of a descriptor along each axis.
 const CELLS: usize = 4;
-/// Directions of a cell's histogram.
+/// Number of directions of a cell's histogram.
 const DIRECTIONS: usize = 8;
 /// Length of a descriptor.
 pub const DESCRIPTOR_LEN: usize = CELLS * CELLS * DIRECTIONS;
@@ -15,14 +15,14 @@ pub const DESCRIPTOR_LEN: usize = CELLS * CELLS * DIRECTIONS;
 const CELL_SIGMAS: f32 = 3.0;
 
 /// The dominant direction, radians, and the descriptor turned by it.
-pub(super) fn describe(layer: &Plane, place: &ScaleSpacePosition) -> (f32, [f32; DESCRIPTOR_LEN]) {
-    let angle = dominant_direction(layer, place);
+pub(super) fn describe(layer: &Plane, position: &ScaleSpacePosition) -> (f32, [f32; DESCRIPTOR_LEN]) {
+    let angle = dominant_direction(layer, position);
     let (sin, cos) = angle.sin_cos();
-    let cell = CELL_SIGMAS * place.sigma;
+    let cell = CELL_SIGMAS * position.sigma;
     let reach = cell * std::f32::consts::SQRT_2 * 0.5 * (CELLS as f32 + 1.0);
-    // One more cell and direction on each side takes what interpolation puts beyond the border.
+    // A margin of one cell and direction receives the interpolation beyond the border.
     let mut wide = [[[0.0f32; DIRECTIONS + 1]; CELLS + 2]; CELLS + 2];
-    for_each_gradient(layer, place, reach, |dx, dy, gx, gy| {
+    for_each_gradient(layer, position, reach, |dx, dy, gx, gy| {
         let (u, v) = ((cos * dx + sin * dy) / cell, (cos * dy - sin * dx) / cell);
         let (column, row) = (u + 0.5 * CELLS as f32 + 0.5, v + 0.5 * CELLS as f32 + 0.5);
         let limit = CELLS as f32 + 1.0;
@@ -59,24 +59,25 @@ pub(super) fn describe(layer: &Plane, place: &ScaleSpacePosition) -> (f32, [f32;
         let cell = &wide[i + 1][j + 1];
         *value = if k == 0 { cell[0] + cell[DIRECTIONS] } else { cell[k] };
     }
-    limited(&mut out);
+    normalize_and_clip(&mut out);
     (angle, out)
 }
 
-/// Unit length, no entry above a fifth: strong single gradients (lights, edges of shadows) do not outvote the rest.
-fn limited(values: &mut [f32; DESCRIPTOR_LEN]) {
+/// Normalizes to unit length with no entry above a fifth: single strong gradients (lights, edges of shadows) do not
+/// dominate.
+fn normalize_and_clip(values: &mut [f32; DESCRIPTOR_LEN]) {
     // Lowe, Distinctive image features from scale-invariant keypoints, 2004, section 6.1.
     let norm = values.iter().map(|v| v * v).sum::<f32>().sqrt().max(f32::MIN_POSITIVE);
     values.iter_mut().for_each(|v| *v = (*v / norm).min(0.2));
 }
 
-/// The most frequent gradient direction round a keypoint, radians.
-fn dominant_direction(layer: &Plane, place: &ScaleSpacePosition) -> f32 {
+/// The most frequent gradient direction around a keypoint, radians.
+fn dominant_direction(layer: &Plane, position: &ScaleSpacePosition) -> f32 {
     // Bins of ten degrees (Lowe 2004, section 5).
     const BINS: usize = 36;
-    let sigma = 1.5 * place.sigma;
+    let sigma = 1.5 * position.sigma;
     let mut histogram = [0.0f32; BINS];
-    for_each_gradient(layer, place, 3.0 * sigma, |dx, dy, gx, gy| {
+    for_each_gradient(layer, position, 3.0 * sigma, |dx, dy, gx, gy| {
         let distance_sq = (dx * dx + dy * dy) / (2.0 * sigma * sigma);
         if distance_sq < 4.5 {
             let bin = direction_of(gx, gy) * (BINS as f32 / TAU);
@@ -103,20 +104,25 @@ fn dominant_direction(layer: &Plane, place: &ScaleSpacePosition) -> f32 {
     (top as f32 + offset) * (TAU / BINS as f32)
 }
 
-/// Calls `seen(dx, dy, gx, gy)` for the samples of a square round a keypoint: offset from it, and gradient.
+/// Calls `seen(dx, dy, gx, gy)` for the samples of a square around a keypoint: offset from it, and gradient.
 #[inline(always)]
-fn for_each_gradient(layer: &Plane, place: &ScaleSpacePosition, reach: f32, mut seen: impl FnMut(f32, f32, f32, f32)) {
+fn for_each_gradient(
+    layer: &Plane,
+    position: &ScaleSpacePosition,
+    reach: f32,
+    mut seen: impl FnMut(f32, f32, f32, f32),
+) {
     let range = |at: f32, side: usize| {
         let first = ((at - reach).ceil().max(1.0)) as usize;
         let last = ((at + reach).floor().min(side as f32 - 2.0)).max(0.0) as usize;
         first..last + 1
     };
-    let columns = range(place.x, layer.width);
-    for y in range(place.y, layer.height) {
+    let columns = range(position.x, layer.width);
+    for y in range(position.y, layer.height) {
         let (above, row, below) = (layer.row(y - 1), layer.row(y), layer.row(y + 1));
-        let dy = y as f32 - place.y;
+        let dy = y as f32 - position.y;
         for x in columns.clone() {
-            seen(x as f32 - place.x, dy, row[x + 1] - row[x - 1], below[x] - above[x]);
+            seen(x as f32 - position.x, dy, row[x + 1] - row[x - 1], below[x] - above[x]);
         }
     }
 }

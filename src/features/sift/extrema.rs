@@ -5,9 +5,9 @@ use nalgebra::{Matrix3, Vector3};
 use super::scale_space::{Octave, Plane};
 use super::{Keypoint, LAYERS, SIGMA, ScaleSpacePosition};
 
-/// Samples along the border in which nothing is looked for.
+/// Width of the border without search, samples.
 const BORDER: usize = 5;
-/// Largest ratio of the principal curvatures: above it a keypoint can slide along an edge.
+/// Maximum ratio of the principal curvatures: above it a keypoint can slide along an edge.
 const MAX_EDGE_RATIO: f32 = 10.0;
 
 /// Calls `found` for every extremum of an octave.
@@ -16,7 +16,7 @@ pub(super) fn find(octave: &Octave, index: usize, min_contrast: f32, mut found: 
     if width.min(height) <= 2 * BORDER {
         return;
     }
-    // The fit may raise the contrast, so half of it is let through first.
+    // The fit may raise the contrast, so the first threshold is half of it.
     let threshold = 0.5 * min_contrast;
     let mut rows = DifferenceRows::new(octave);
     for y in BORDER..height - BORDER {
@@ -27,16 +27,16 @@ pub(super) fn find(octave: &Octave, index: usize, min_contrast: f32, mut found: 
                 let value = values[1][1][x];
                 if value.abs() > threshold
                     && is_extremum(value, &values, x)
-                    && let Some(place) = refined(octave, [layer, y, x], index, min_contrast)
+                    && let Some(position) = refined(octave, [layer, y, x], index, min_contrast)
                 {
-                    found(place);
+                    found(position);
                 }
             }
         }
     }
 }
 
-/// The differences of all layers at three neighbouring rows.
+/// The differences of all layers at three neighboring rows.
 struct DifferenceRows<'a> {
     octave: &'a Octave,
     /// By layer, then row modulo three.
@@ -86,8 +86,9 @@ fn is_extremum(value: f32, values: &[[&[f32]; 3]; 3], x: usize) -> bool {
     beats(&values[1]) && beats(&values[0]) && beats(&values[2])
 }
 
-/// Fits a quadratic round an extremum, moving on where its top lies nearer to another sample; `None` if that leaves the
-/// octave, or the contrast is small, or it is an edge.
+/// Fits a quadratic around an extremum, and again at another sample if its peak is nearer to that.
+///
+/// `None` if that leaves the octave, or the contrast is small, or it is an edge.
 fn refined(
     octave: &Octave,
     [mut layer, mut y, mut x]: [usize; 3],
@@ -107,7 +108,7 @@ fn refined(
             if contrast < min_contrast || cube.is_edge() {
                 return None;
             }
-            let place = ScaleSpacePosition {
+            let position = ScaleSpacePosition {
                 octave: index,
                 layer,
                 x: x as f32 + offset.x,
@@ -115,8 +116,8 @@ fn refined(
                 sigma: SIGMA * ((layer as f32 + offset.z) / LAYERS as f32).exp2(),
             };
             let pixel = |at: f32| at * octave.step + 0.5;
-            let (x, y) = (pixel(place.x), pixel(place.y));
-            return Some(Keypoint { x, y, scale: place.sigma * octave.step, angle: 0.0, contrast, place });
+            let (x, y) = (pixel(position.x), pixel(position.y));
+            return Some(Keypoint { x, y, scale: position.sigma * octave.step, angle: 0.0, contrast, position });
         }
         let moved = |at: usize, by: f32| at.checked_add_signed(by.round() as isize);
         (x, y, layer) = (moved(x, offset.x)?, moved(y, offset.y)?, moved(layer, offset.z)?);

@@ -2,9 +2,9 @@
 //!
 //! D. Lowe, *Distinctive Image Features from Scale-Invariant Keypoints*, IJCV 2004: extrema of differences of Gaussians
 //! in space and scale, refined by a quadratic, with one dominant gradient direction each, described by 4 × 4 × 8
-//! histograms of gradient directions. Own, for three reasons: the first octave need not be the doubled image, which
-//! costs three to five times as much and gains little on easy scenes; only the keypoints that are kept are described;
-//! and positions are those of the image without a shift, as the pixel convention wants them.
+//! histograms of gradient directions. This is an own implementation, for three reasons. The first octave need not be
+//! the doubled image, which costs three to five times as much and gains little on easy scenes. Only the keypoints that
+//! are kept are described. Positions are those of the image without a shift, as the pixel convention requires.
 //!
 //! Everything is computed in the same order and without fused multiplications on every machine.
 
@@ -17,7 +17,7 @@ pub use scale_space::Plane;
 
 use scale_space::Octave;
 
-/// Layers of an octave that are searched for extrema.
+/// Number of layers of an octave that are searched for extrema.
 const LAYERS: usize = 3;
 /// Blur of the first layer of every octave, in its own pixels.
 const SIGMA: f32 = 1.6;
@@ -25,9 +25,9 @@ const SIGMA: f32 = 1.6;
 /// Options of detection.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Options {
-    /// Keypoints kept at the most, the strongest first.
+    /// Maximum number of keypoints, the strongest first.
     pub max_keypoints: usize,
-    /// Smallest difference of Gaussians at an extremum, of a picture whose values go from 0 to 1.
+    /// Minimum difference of Gaussians at an extremum, of an image whose values are from 0 to 1.
     pub min_contrast: f32,
     /// True if the first octave is the doubled image: finds smaller structures, at several times the cost.
     pub doubled: bool,
@@ -36,7 +36,7 @@ pub struct Options {
 /// A keypoint.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Keypoint {
-    /// Position, pixels, first pixel centre at (0.5, 0.5).
+    /// Position, pixels, first pixel center at (0.5, 0.5).
     pub x: f32,
     /// Position, pixels.
     pub y: f32,
@@ -44,13 +44,13 @@ pub struct Keypoint {
     pub scale: f32,
     /// Dominant gradient direction, radians.
     pub angle: f32,
-    /// Interpolated difference of Gaussians there.
+    /// Interpolated difference of Gaussians at the extremum.
     pub contrast: f32,
-    /// Place in its octave.
-    place: ScaleSpacePosition,
+    /// Position in its octave.
+    position: ScaleSpacePosition,
 }
 
-/// Where a keypoint lies in the scale space.
+/// Position of a keypoint in the scale space.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ScaleSpacePosition {
     octave: usize,
@@ -70,7 +70,7 @@ pub struct Keypoints {
     pub descriptors: Vec<f32>,
 }
 
-/// Finds and describes keypoints; `wanted` says at which pixel positions they may lie.
+/// Detects and describes keypoints at the pixel positions for which `wanted` is true.
 pub fn detect(picture: &Plane, options: &Options, wanted: impl Fn(f32, f32) -> bool) -> Keypoints {
     let mut octaves = Vec::new();
     let mut keypoints = Vec::new();
@@ -87,16 +87,16 @@ pub fn detect(picture: &Plane, options: &Options, wanted: impl Fn(f32, f32) -> b
     keep_strongest(&mut keypoints, options.max_keypoints);
     let mut descriptors = Vec::with_capacity(keypoints.len() * DESCRIPTOR_LEN);
     for keypoint in &mut keypoints {
-        let place = &keypoint.place;
-        let layer = &octaves[place.octave].layers[place.layer];
-        let (angle, descriptor) = descriptor::describe(layer, place);
+        let position = &keypoint.position;
+        let layer = &octaves[position.octave].layers[position.layer];
+        let (angle, descriptor) = descriptor::describe(layer, position);
         keypoint.angle = angle;
         descriptors.extend(descriptor);
     }
     Keypoints { keypoints, descriptors }
 }
 
-/// Keeps those of the highest contrast, and puts them in that order.
+/// Keeps the keypoints of the highest contrast, in that order.
 fn keep_strongest(keypoints: &mut Vec<Keypoint>, count: usize) {
     // A stable sort: equals keep the order of octaves, rows and layers.
     keypoints.sort_by(|a, b| b.contrast.total_cmp(&a.contrast));
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn blobs_are_found_where_they_are_and_as_large_as_they_are() {
+    fn blobs_are_found_with_their_positions_and_sizes() {
         let truth = [[60.3, 50.8, 2.5, 0.6], [150.0, 70.25, 4.0, 0.5], [100.6, 30.1, 7.0, -0.15]];
         let picture = blobs(220, 120, &truth);
         for doubled in [false, true] {
@@ -134,8 +134,8 @@ mod tests {
                     .min_by(|a, b| (a.x - x).hypot(a.y - y).total_cmp(&(b.x - x).hypot(b.y - y)))
                     .unwrap();
                 let off = (near.x - x).hypot(near.y - y);
-                // Of two Gaussians of nearly one size the difference is greatest where the blob has theirs; the picture
-                // is held to have half a pixel of blur, which the sampled blob has not.
+                // The difference of two Gaussians of nearly one size is greatest where the blob has their size; the
+                // image is assumed to have half a pixel of blur, which the sampled blob has not.
                 let ratio = near.scale / s;
                 assert!(
                     off < 0.06 && (0.8..1.25).contains(&ratio),
@@ -146,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_picture_has_the_same_descriptors() {
+    fn a_rotated_image_has_the_same_descriptors() {
         let truth = [[60.0, 50.0, 3.0, 0.5], [66.0, 53.0, 2.0, 0.3], [55.0, 58.0, 2.5, -0.15], [58.0, 43.0, 2.0, 0.2]];
         let picture = blobs(120, 110, &truth);
         // A quarter turn: (x, y) becomes (height − y, x).
@@ -172,7 +172,7 @@ mod tests {
     }
 
     #[test]
-    fn the_strongest_are_kept_and_small_or_plain_pictures_have_none() {
+    fn the_strongest_are_kept_and_small_or_plain_images_have_none() {
         let truth = [[60.3, 50.8, 2.5, 0.2], [150.0, 70.25, 4.0, 0.5]];
         let picture = blobs(220, 120, &truth);
         let one = detect(&picture, &Options { max_keypoints: 1, ..ALL }, |_, _| true);

@@ -4,12 +4,12 @@ use pulp::Arch;
 
 use super::{LAYERS, SIGMA};
 
-/// A picture of floating-point values, row by row.
+/// Image of floating-point values, row by row.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plane {
-    /// Pixels of a row.
+    /// Number of columns.
     pub width: usize,
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
     /// One value per pixel.
     pub values: Vec<f32>,
@@ -27,7 +27,7 @@ impl Plane {
         self.values[y * self.width + x]
     }
 
-    /// Twice as large: sample 2 k is sample k, odd ones are the means of their neighbours.
+    /// Doubles the size: sample 2 k is sample k, odd ones are the means of their neighbors.
     fn doubled(&self) -> Self {
         let (width, height) = (2 * self.width, 2 * self.height);
         let mut values = vec![0.0; width * height];
@@ -49,21 +49,21 @@ impl Plane {
     }
 }
 
-/// Blurs of one size of the picture, σ · 2^(k / [`LAYERS`]).
+/// Gaussian blurs of the image at one size, with σ · 2^(k / [`LAYERS`]).
 pub(super) struct Octave {
     /// `LAYERS + 3` of them.
     pub(super) layers: Vec<Plane>,
-    /// Pixels of the picture from one sample to the next.
+    /// Pixels of the image from one sample to the next.
     pub(super) step: f32,
 }
 
-/// The smallest picture in which an extremum can lie.
+/// Minimum side of an image for extrema, pixels.
 const MIN_SIDE: usize = 16;
 
 impl Octave {
-    /// The first one: of the picture or of the doubled picture.
+    /// First octave: of the image or of the doubled image.
     pub(super) fn first(picture: &Plane, doubled: bool) -> Self {
-        // The blur that pictures are taken to have, in their own pixels.
+        // Assumed blur of images, in their own pixels.
         const CAMERA_SIGMA: f32 = 0.5;
         let (base, step, sigma) = match doubled {
             true => (&picture.doubled(), 0.5, 2.0 * CAMERA_SIGMA),
@@ -82,7 +82,7 @@ impl Octave {
         Self { layers, step }
     }
 
-    /// The next one, half the size; `None` when that is too small for anything to be found.
+    /// Next octave, at half the size; `None` if that is too small for extrema.
     pub(super) fn next(&self) -> Option<Self> {
         let base = self.layers[LAYERS].halved();
         (base.width.min(base.height) >= MIN_SIDE).then(|| Self::from_base(base, 2.0 * self.step))
@@ -105,10 +105,10 @@ fn half_kernel(sigma: f32) -> Vec<f32> {
     side.into_iter().map(|v| v / sum).collect()
 }
 
-/// Values that stay in registers while a kernel passes over them.
+/// Number of values that stay in registers during a convolution.
 const CHUNK: usize = 32;
 
-/// Down the columns of a row's neighbourhood first, then along the row.
+/// Convolves down the columns first, then along the rows.
 #[inline(always)]
 fn convolve(source: &Plane, kernel: &[f32], out: &mut [f32]) {
     let (width, height, radius) = (source.width, source.height, kernel.len() - 1);
@@ -141,7 +141,7 @@ fn weighted<'a>(out: &mut [f32], kernel: &[f32], sides: impl Fn(usize, usize) ->
     }
 }
 
-/// The same of N values from x on.
+/// Weighted sums of N values from x on.
 #[inline(always)]
 fn weighted_at<'a, const N: usize>(
     x: usize,

@@ -1,8 +1,9 @@
-//! SIFT features of a view, as it is and as it would look from elsewhere.
+//! SIFT features of a view and of affine views synthesized from it.
 //!
-//! A descriptor bears turns of the view up to about thirty degrees. A vehicle that was hidden for a second in a bend
-//! has turned more. So the picture is also tilted: turned, and then squeezed across, as a plane looks from further
-//! aside (J.-M. Morel, G. Yu, *ASIFT*, SIAM Journal on Imaging Sciences 2009, with the first two of their tilts).
+//! A descriptor tolerates rotations of the viewpoint up to about thirty degrees. A vehicle that was occluded for a
+//! second in a bend has rotated more. So the image is also tilted: rotated, and then compressed across, as a plane
+//! appears from a more oblique view (J.-M. Morel, G. Yu, *ASIFT*, SIAM Journal on Imaging Sciences 2009, with the first
+//! two of their tilts).
 
 use std::f64::consts::{PI, SQRT_2};
 
@@ -13,40 +14,40 @@ use crate::features::rootsift::{FeatureOptions, Features, MARGIN_PX, extract_gra
 use crate::image::{GrayImage, resize_gray, warp_gray};
 use crate::scene::{BoundingBox, Mask};
 
-/// Largest side of a picture in which features are found: they only lead to where points are looked for.
+/// Maximum side of an image in which features are detected, pixels: they only predict the positions of points.
 const LARGEST_PX: u32 = 640;
-/// By what a picture is squeezed across.
+/// Factors by which an image is compressed across.
 const TILTS: [f64; 2] = [SQRT_2, 2.0];
 /// Step from one direction of a tilt to the next, over the tilt.
 const DIRECTION_STEP: f64 = 0.4 * PI;
 
-/// Features of one picture of a view.
+/// Features of one affine view, or of the view itself.
 pub struct AffineView {
     /// Positions in pixels of the view.
     pub features: Features,
-    /// From the picture's axes to the view's.
-    view_from_look: Matrix2<f64>,
+    /// From the axes of the synthesized image to those of the view.
+    view_from_image: Matrix2<f64>,
 }
 
 impl AffineView {
-    /// From the feature's own axes to the view's: how it is turned and how large it is.
+    /// From the feature's own axes to the view's: its rotation and scale.
     pub fn frame(&self, feature: usize) -> Matrix2<f32> {
         let shape = self.features.shapes[feature];
         let (sin, cos) = shape.angle.sin_cos();
-        self.view_from_look.cast::<f32>() * Matrix2::new(cos, -sin, sin, cos) * shape.scale
+        self.view_from_image.cast::<f32>() * Matrix2::new(cos, -sin, sin, cos) * shape.scale
     }
 }
 
-/// Appearance of a view.
+/// Features of a view and of its affine views.
 pub struct AffineViews {
     pub plain: AffineView,
     tilted: Vec<AffineView>,
-    /// Until it is tilted.
+    /// Present until affine views are synthesized.
     window: Option<Window>,
 }
 
 impl AffineViews {
-    /// Features inside a mask.
+    /// Detects the features of the view inside a mask.
     ///
     /// # Errors
     /// [`FeatureError::OpenCv`].
@@ -55,7 +56,7 @@ impl AffineViews {
         Ok(Self { plain: window.plain()?, tilted: Vec::new(), window: Some(window) })
     }
 
-    /// Adds the tilted pictures, once.
+    /// Synthesizes the affine views, once.
     ///
     /// # Errors
     /// [`FeatureError::OpenCv`].
@@ -67,13 +68,13 @@ impl AffineViews {
         Ok(())
     }
 
-    /// Lets go of the tilted pictures, and of what they are made from: the view is too long ago to be tilted again.
-    pub fn forget_tilted(&mut self) {
+    /// Drops the affine views and their source: the view is too old to be tilted again.
+    pub fn drop_tilted(&mut self) {
         self.window = None;
         self.tilted = Vec::new();
     }
 
-    /// Which looks are compared with which.
+    /// Pairs of views whose features are compared: plain with plain, and plain with tilted.
     pub fn pairs_with<'a>(&'a self, other: &'a Self) -> Vec<(&'a AffineView, &'a AffineView)> {
         let before = self.tilted.iter().map(|tilted| (tilted, &other.plain));
         let now = other.tilted.iter().map(|tilted| (&self.plain, tilted));
@@ -81,13 +82,13 @@ impl AffineViews {
     }
 }
 
-/// The part of a view in which its mask lies, with room for descriptors.
+/// Part of a view that contains its mask, with a margin for descriptors.
 struct Window {
     gray: GrayImage,
     mask: Mask,
     /// Its corner in the view, pixels.
     corner: Vector2<f64>,
-    /// Its width and height as shares of what they are in the view.
+    /// Its scale relative to the view, along both axes.
     share: Vector2<f64>,
 }
 
@@ -114,10 +115,10 @@ impl Window {
     fn plain(&self) -> Result<AffineView, FeatureError> {
         let is_small = self.mask.bounding_box().is_none_or(|b| 2 * b.width().max(b.height()) <= LARGEST_PX);
         let features = features(&self.gray, &self.mask, is_small)?;
-        Ok(self.look(features, Matrix2x3::identity()))
+        Ok(self.affine_view(features, Matrix2x3::identity()))
     }
 
-    /// The picture turned by an angle and squeezed by a factor across.
+    /// Synthesizes the view rotated by an angle and compressed by a factor across.
     fn tilted(&self, tilt: f64, direction: f64) -> Result<AffineView, FeatureError> {
         let turn = *Rotation2::new(direction).matrix();
         let sides = Vector2::new(self.gray.width(), self.gray.height()).cast::<f64>();
@@ -128,23 +129,23 @@ impl Window {
         let turned = warp_gray(&self.gray, &window_from_turned, turned_sides.x as u32, turned_sides.y as u32)?;
         let picture = resize_gray(&turned, squeezed.x as u32, squeezed.y as u32)?;
         let wider = Matrix2::from_diagonal(&turned_sides.component_div(&squeezed));
-        let window_from_look = affine(back * wider, window_from_turned.column(2).into());
+        let window_from_image = affine(back * wider, window_from_turned.column(2).into());
         let mask = Mask::from_fn(picture.width(), picture.height(), |x, y| {
-            let p = window_from_look * middle(x, y).push(1.0);
+            let p = window_from_image * middle(x, y).push(1.0);
             self.mask.contains(p.x, p.y)
         });
-        Ok(self.look(features(&picture, &mask, true)?, window_from_look))
+        Ok(self.affine_view(features(&picture, &mask, true)?, window_from_image))
     }
 
     /// Features with their positions in the view.
-    fn look(&self, mut features: Features, window_from_look: Matrix2x3<f64>) -> AffineView {
+    fn affine_view(&self, mut features: Features, window_from_image: Matrix2x3<f64>) -> AffineView {
         let in_view = |p: &Point2<f64>| {
-            let in_window = window_from_look * p.coords.push(1.0);
+            let in_window = window_from_image * p.coords.push(1.0);
             Point2::from(self.corner + in_window.component_div(&self.share))
         };
         features.pixels.iter_mut().for_each(|p| *p = in_view(p));
         let view_from_window = Matrix2::from_diagonal(&self.share.map(|s| 1.0 / s));
-        AffineView { features, view_from_look: view_from_window * window_from_look.fixed_view::<2, 2>(0, 0) }
+        AffineView { features, view_from_image: view_from_window * window_from_image.fixed_view::<2, 2>(0, 0) }
     }
 }
 
@@ -167,7 +168,7 @@ mod tests {
     use super::*;
     use ::image::Luma;
 
-    /// A picture with a bright blob round a point.
+    /// Image with a bright blob around a point.
     fn blob(at: Point2<f64>) -> GrayImage {
         GrayImage::from_fn(200, 120, |x, y| {
             let d = (middle(x, y) - at.coords).norm_squared();
@@ -176,27 +177,27 @@ mod tests {
     }
 
     #[test]
-    fn every_tilted_picture_shows_a_point_where_the_view_has_it() {
+    fn every_affine_view_has_a_point_at_its_position_in_the_view() {
         let at = Point2::new(81.3, 64.8);
         let mask = Mask::from_fn(200, 120, |x, y| (40..140).contains(&x) && (30..100).contains(&y));
-        let mut looks = AffineViews::new(&blob(at), &mask).unwrap();
-        looks.tilt().unwrap();
-        assert_eq!(looks.tilted.len(), 9);
-        let nearest = |look: &AffineView| {
-            let distances = look.features.pixels.iter().map(|p| (p - at).norm());
+        let mut views = AffineViews::new(&blob(at), &mask).unwrap();
+        views.tilt().unwrap();
+        assert_eq!(views.tilted.len(), 9);
+        let nearest = |affine_view: &AffineView| {
+            let distances = affine_view.features.pixels.iter().map(|p| (p - at).norm());
             distances.fold(f64::INFINITY, f64::min)
         };
-        let num_exact = looks.tilted.iter().filter(|look| nearest(look) < 0.1).count();
+        let num_exact = views.tilted.iter().filter(|affine_view| nearest(affine_view) < 0.1).count();
         assert!(num_exact >= 8, "{num_exact} of 9: one may find nothing in a blob that it squeezes");
     }
 
     #[test]
-    fn a_tilted_picture_says_how_its_axes_lie_in_the_view() {
+    fn an_affine_view_has_the_right_axes() {
         let mask = Mask::full(200, 120);
-        let mut looks = AffineViews::new(&blob(Point2::new(100.0, 60.0)), &mask).unwrap();
-        looks.tilt().unwrap();
-        for look in &looks.tilted {
-            let squeezed = look.view_from_look.determinant();
+        let mut views = AffineViews::new(&blob(Point2::new(100.0, 60.0)), &mask).unwrap();
+        views.tilt().unwrap();
+        for affine_view in &views.tilted {
+            let squeezed = affine_view.view_from_image.determinant();
             assert!(TILTS.iter().any(|tilt| (squeezed - tilt).abs() < 0.02 * tilt), "{squeezed}");
         }
     }

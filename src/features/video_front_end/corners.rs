@@ -1,19 +1,21 @@
-//! The places of a picture that are worth following.
+//! Corners of an image that are worth tracking.
 
 use nalgebra::Point2;
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::image::CornerStrength;
 
-/// The strongest corners, the strongest first: pixels that no neighbour exceeds, at some distance from one another (J.
-/// Shi, C. Tomasi, *Good Features to Track*, CVPR 1994). Pixels at the border of the picture are none.
+/// The strongest corners, the strongest first.
+///
+/// They are pixels that no neighbor exceeds, at a minimum distance from one another (J. Shi, C. Tomasi, *Good Features
+/// to Track*, CVPR 1994). Pixels at the border of the image are excluded.
 ///
 /// * `free` – pixels that may be one, row-major.
-/// * `wanted` – how many at the most.
-/// * `quality` – smallest strength relative to the strongest pixel that may be one.
-/// * `min_distance_px` – smallest distance of two.
+/// * `wanted` – maximum number of corners.
+/// * `quality` – minimum strength relative to the strongest pixel that may be one.
+/// * `min_distance_px` – minimum distance between two.
 ///
-/// Positions are centres of pixels, the first one at (0.5, 0.5).
+/// Positions are centers of pixels, the first one at (0.5, 0.5).
 pub fn strongest(
     strength: &CornerStrength,
     free: &[bool],
@@ -34,8 +36,9 @@ pub fn strongest(
     kept.corners.into_iter().map(|[x, y]| Point2::new(x as f32 + 0.5, y as f32 + 0.5)).collect()
 }
 
-/// Search for the free pixels that none of their eight neighbors exceeds, with whatever vector instructions the
-/// processor has. Gives strength, column and row.
+/// Search for the free pixels that none of their eight neighbors exceeds.
+///
+/// It uses the vector instructions of the processor and returns strength, column and row.
 struct Peaks<'a> {
     strength: &'a CornerStrength,
     free: &'a [bool],
@@ -72,10 +75,10 @@ impl WithSimd for Peaks<'_> {
     }
 }
 
-/// The largest strength of the free pixels of a row.
+/// Maximum strength of the free pixels of a row.
 #[inline(always)]
 fn strongest_free((values, free): (&[f32], &[bool])) -> f32 {
-    /// Values that are compared at a time.
+    /// Number of values that are compared at a time.
     const LANES: usize = 16;
     let larger = |most: f32, (value, is_free): (&f32, &bool)| {
         let value = if *is_free { *value } else { 0.0 };
@@ -99,9 +102,9 @@ struct Spread {
     min_distance_sq: f64,
     cell_px: u32,
     cols: usize,
-    /// The last corner in every cell of a grid, each as large as the distance, by its index, or [`NONE`].
+    /// Index of the last corner in every cell of a grid, each as large as the distance, or [`NONE`].
     last: Vec<u32>,
-    /// Per corner the one before it in its cell, or [`NONE`].
+    /// Index of the previous corner in its cell, by corner, or [`NONE`].
     before: Vec<u32>,
 }
 
@@ -117,7 +120,7 @@ impl Spread {
         Self { corners, min_distance_sq, cell_px, cols, last, before }
     }
 
-    /// Adds a corner that is far enough from the others.
+    /// Adds a corner if it is far enough from the others.
     fn push(&mut self, corner: [u32; 2]) {
         let [col, row] = corner.map(|at| (at / self.cell_px) as usize);
         let last_row = (row + 1).min(self.last.len() / self.cols - 1);
@@ -166,7 +169,7 @@ mod tests {
             of_opencv(&picture, &mut expected, wanted, 0.01, distance, &mask, 3, false, 0.04).unwrap();
             let found = strongest(&CornerStrength::of(&image), &is_free, wanted as usize, 0.01, distance);
             let expected: Vec<_> = expected.iter().map(|p| Point2::new(p.x + 0.5, p.y + 0.5)).collect();
-            // Those that are equally strong may come in another order, and one that is not the strongest by rounding.
+            // Equally strong corners may be in another order, and rounding may change which one is the strongest.
             let common = found.iter().filter(|p| expected.contains(p)).count();
             assert!(
                 found.len().abs_diff(expected.len()) <= 2 && common + 3 >= expected.len(),
@@ -176,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_free_and_nothing_is_found() {
+    fn no_corner_is_found_without_texture_or_free_pixels() {
         let plain = CornerStrength::of(&GrayImage::from_pixel(30, 20, ::image::Luma([80])));
         assert!(strongest(&plain, &[true; 600], 10, 0.01, 3.0).is_empty());
         let noise = CornerStrength::of(&GrayImage::from_fn(30, 20, |x, y| ::image::Luma([(x * y * 37 % 251) as u8])));

@@ -1,4 +1,4 @@
-//! A view that is remembered: its features, and small pictures of its points.
+//! Keyframe: the features of a view, and small patches of its points.
 
 use nalgebra::{Point2, Vector2};
 
@@ -12,14 +12,14 @@ pub const FEW_POINTS: usize = 8;
 /// Maximum number of points of a keyframe whose image patch is kept: more tie no better.
 const MAX_PATCHES: usize = 300;
 
-/// A point as a view showed it.
+/// Appearance of a point in a view.
 pub struct PointAppearance {
     pub track: usize,
-    /// Where it was, pixels.
+    /// Its position, pixels.
     pub center: Point2<f32>,
-    /// The picture round it.
+    /// Image around it.
     picture: GrayImage,
-    /// Where the picture's corner lay.
+    /// Position of the image's corner.
     corner: Vector2<f32>,
 }
 
@@ -33,33 +33,34 @@ impl PointAppearance {
         fits.then(|| Self { track, center, picture: picture(), corner: Vector2::new(x as f32, y as f32) })
     }
 
-    /// The patch round the point as the view showed it.
+    /// Patch around the point in the view.
     pub fn patch(&self, radius: i32) -> Option<Patch> {
         Patch::cut(&self.picture, self.center - self.corner, radius)
     }
 }
 
-/// A view that is remembered.
+/// View that is kept for re-detection.
 pub struct Keyframe {
     pub view: usize,
-    pub looks: AffineViews,
-    pub sights: Vec<PointAppearance>,
-    /// Points that it showed; not all of them have a sight.
+    pub affine_views: AffineViews,
+    pub appearances: Vec<PointAppearance>,
+    /// Number of its points; not all of them have an appearance.
     pub num_points: usize,
 }
 
 impl Keyframe {
-    /// * `points` – tracks and where they are, pixels; `radius` – half the side of a point's picture, pixels.
+    /// * `points` – tracks and their positions, pixels; `radius` – half the side of a point's image, pixels.
     pub fn new(
         view: usize,
-        looks: AffineViews,
+        affine_views: AffineViews,
         gray: &GrayImage,
         points: &[(usize, Point2<f32>)],
         radius: u32,
     ) -> Self {
         let step = points.len().div_ceil(MAX_PATCHES).max(1);
         let seen = points.iter().step_by(step);
-        let sights = seen.filter_map(|(track, center)| PointAppearance::new(gray, *track, *center, radius)).collect();
-        Self { view, looks, sights, num_points: points.len() }
+        let appearances =
+            seen.filter_map(|(track, center)| PointAppearance::new(gray, *track, *center, radius)).collect();
+        Self { view, affine_views, appearances, num_points: points.len() }
     }
 }

@@ -1,9 +1,9 @@
 //! Tracks of image points from the frames of a video.
 //!
 //! A point is a corner (J. Shi, C. Tomasi, *Good Features to Track*, CVPR 1994; `corners`). Pyramidal Lucas-Kanade
-//! predicts it in the next frame (`point_tracking`); alignment with the patch of its first observation
-//! ([`super::patch`]) keeps long tracks from drifting, ends them where the point is hidden, and gives the covariance of
-//! the position ([`Whitening`](crate::bundle::Whitening)). A point that Lucas-Kanade loses is searched for where the
+//! predicts it in the next frame (`point_tracking`). Alignment with the patch of its first observation
+//! ([`super::patch`]) keeps long tracks from drifting, ends them where the point is occluded, and gives the covariance
+//! of the position ([`Whitening`](crate::bundle::Whitening)). A point that Lucas-Kanade loses is searched where the
 //! motion of its neighbors leads.
 //!
 //! Points that are lost for longer, after occlusions or outside of the image, are re-detected in keyframes
@@ -36,16 +36,16 @@ use crate::features::FeatureError;
 use crate::image::{CornerStrength, GrayImage, Picture, Pyramid, RgbImage};
 use crate::scene::{BoundingBox, Frame, Mask};
 use keyframe_memory::Memory;
-use search_range::{Extent, Reach};
-use tracked_point::{Live, whitening};
+use search_range::{Extent, SearchRange};
+use tracked_point::{TrackedPoint, whitening};
 
-/// Where a point that was followed before is looked for first.
+/// Start of the search for a tracked point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum FirstLook {
-    /// Where its last step leads, in the finest pictures; through the whole pyramid if it is not there.
+    /// Its predicted position, in the finest images; the whole pyramid if it is not there.
     Predicted,
-    /// Where it was, through the whole pyramid.
+    /// Its last position, through the whole pyramid.
     Pyramid,
 }
 
@@ -53,32 +53,32 @@ pub enum FirstLook {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]
 pub struct VideoOptions {
-    /// Points followed at a time, at the most: more make poses surer and everything slower.
+    /// Maximum number of points tracked at a time: more make poses more accurate and everything slower.
     #[schemars(extend("unit" = "points"))]
     pub max_points: usize,
-    /// Smallest distance of a new point to any other: spreads the points over the picture.
+    /// Minimum distance of a new point from any other: spreads the points over the image.
     pub min_distance_px: f64,
-    /// Smallest corner strength relative to the strongest in the frame.
+    /// Minimum corner strength relative to the strongest in the frame.
     #[schemars(extend("unit" = "share"))]
     pub quality: f64,
     /// Half the side of the prediction window.
     pub window_radius_px: i32,
-    /// Half the side of the patch that is compared with a point's first sight.
+    /// Half the side of the patch that is compared with a point's first observation.
     pub patch_radius_px: i32,
-    /// Levels of the pyramid above the image: each doubles the motion from frame to frame that can be followed.
+    /// Levels of the pyramid above the image: each doubles the motion from frame to frame that can be tracked.
     #[schemars(extend("unit" = "levels"))]
     pub pyramid_levels: i32,
-    /// Where a point that was followed before is looked for first.
+    /// Start of the search for a tracked point.
     pub first_look: FirstLook,
-    /// Smallest correlation with the first patch.
+    /// Minimum correlation with the first patch.
     #[schemars(extend("unit" = "correlation"))]
     pub min_correlation: f32,
-    /// Smallest correlation with the first patch of a point that is found again where its neighbours' motion leads.
+    /// Minimum correlation with the first patch of a point that is searched where its neighbors' motion leads.
     #[schemars(extend("unit" = "correlation"))]
     pub min_found_again: f32,
-    /// Distance that points keep from the mask's border: what lies on an outline belongs to no surface.
+    /// Minimum distance of points from the mask's border: points on an outline belong to no surface.
     pub border_px: u32,
-    /// Shortest track that is kept.
+    /// Minimum length of a track.
     #[schemars(extend("unit" = "views"))]
     pub min_track_length: usize,
     /// True if keyframes that share enough live points are not searched for lost ones.
@@ -88,7 +88,7 @@ pub struct VideoOptions {
 }
 
 impl VideoOptions {
-    /// For a target.
+    /// Options for a target.
     pub fn of(target: Target) -> Self {
         match target {
             Target::Background => Self::background(),
@@ -96,7 +96,7 @@ impl VideoOptions {
         }
     }
 
-    /// Rejects what cannot be worked with. Upper limits keep a picture's points and patches within memory.
+    /// Rejects options that are out of range; upper limits bound the memory of an image's points and patches.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -114,10 +114,11 @@ impl VideoOptions {
         under("matching", self.matching.check())
     }
 
-    /// For the background.
+    /// Options for the background.
     pub fn background() -> Self {
         Self {
-            // With 1,500 trajectories of six rendered drives are as exact; with 800 camera paths are a third worse.
+            // With 1,500 the trajectories of six rendered drives are as accurate; with 800 camera trajectories are a
+            // third worse.
             max_points: 1000,
             min_distance_px: 12.0,
             quality: 0.003,
@@ -134,51 +135,54 @@ impl VideoOptions {
         }
     }
 
-    /// For one object: denser, and with smaller windows, since it is small and its surfaces end soon; and from coarse
-    /// pictures on, since it moves on its own, and the road next to it is near.
+    /// Options for one object: denser points and smaller windows, since it is small and its surfaces end soon.
+    ///
+    /// The search starts at coarse pyramid levels, since it moves on its own, and the road next to it is near.
     pub fn object() -> Self {
         let first_look = FirstLook::Pyramid;
         Self { max_points: 800, min_distance_px: 4.0, quality: 0.002, border_px: 2, first_look, ..Self::background() }
     }
 }
 
-/// Follows points frame by frame.
+/// Tracks points frame by frame.
 pub struct VideoFrontEnd {
     options: VideoOptions,
     previous: Option<Arc<Pyramid>>,
-    /// Where the target was in the last frame.
+    /// Extent of the target in the last frame.
     extent: Option<Extent>,
-    /// Search range round a point in the current frame, and displacement of the target to it.
-    reach: Reach,
+    /// Search range around a point in the current frame, and displacement of the target to it.
+    reach: SearchRange,
     shift: Option<Vector2<f32>>,
-    live: Vec<Live>,
+    live: Vec<TrackedPoint>,
     memory: Memory,
     table: TrackTable,
 }
 
 impl VideoFrontEnd {
-    /// Nothing seen yet. `camera` serves to verify points that are found again; a guess will do.
+    /// Front end without frames; `camera` serves to verify re-detected points, and a guess suffices.
     pub fn new(options: VideoOptions, camera: Camera) -> Self {
         let memory = Memory::new(camera, &options);
-        let reach = Reach::new(&options, None);
+        let reach = SearchRange::new(&options, None);
         let (live, table) = (Vec::new(), TrackTable::default());
         Self { options, previous: None, extent: None, reach, shift: None, live, memory, table }
     }
 
-    /// Re-detects lost points only where hardly any point of the view before is tracked, and without synthesized views:
-    /// for live video, where SIFT of every keyframe takes as long as all other work in a frame.
+    /// Re-detects lost points only where hardly any point of the previous view is tracked, and without synthesized
+    /// views.
+    ///
+    /// This is for live video, where SIFT of every keyframe takes as long as all other work in a frame.
     pub fn only_across_breaks(mut self) -> Self {
         self.memory.only_across_breaks = true;
         self
     }
 
-    /// Adds the next frame, looking only where the mask is set.
+    /// Adds the next frame; points are tracked only where the mask is set.
     ///
     /// # Errors
     /// [`FeatureError::OpenCv`] if OpenCV fails.
     pub fn push(&mut self, frame: &Frame, picture: &Picture, mask: &Mask) -> Result<(), FeatureError> {
         let extent = Extent::of(mask);
-        self.reach = Reach::new(&self.options, extent);
+        self.reach = SearchRange::new(&self.options, extent);
         self.shift = search_range::shift(&self.options, self.extent, extent);
         self.extent = extent;
         let mask = mask.eroded(self.reach.border_px);
@@ -187,31 +191,32 @@ impl VideoFrontEnd {
             self.follow(&previous, &pyramid, &mask);
         }
         let gray = pyramid.picture();
-        self.find_again(gray, &mask)?;
-        self.find_new(gray, picture.known_corners(), &mask);
+        self.redetect(gray, &mask)?;
+        self.detect_new(gray, picture.known_corners(), &mask);
         self.memory.remember(self.table.views.len(), pyramid.clone(), mask, &self.live);
         self.record(frame, picture.rgb());
         self.previous = Some(pyramid);
         Ok(())
     }
 
-    /// Gives the positions of the last frame in pixels that are so much smaller across and down.
+    /// Scales the positions of the last frame by factors across and down.
     pub fn enlarge_last(&mut self, [across, down]: [f64; 2]) {
         for pixel in self.table.views.last_mut().into_iter().flat_map(|view| &mut view.pixels) {
             *pixel = Point2::new(pixel.x * across, pixel.y * down);
         }
     }
 
-    /// Views so far, and all tracks, however short.
+    /// Views so far, and all tracks, of any length.
     pub fn table(&self) -> &TrackTable {
         &self.table
     }
 
-    /// Drops all views but some, and the tracks without any other: of an endless video not everything can be kept.
-    /// Points that are lost now are not detected again.
+    /// Drops all other views, and the tracks without any of these: of an endless video not everything can be kept.
+    ///
+    /// Points that are lost now are not re-detected.
     pub fn retain_views(&mut self, is_kept: impl Fn(usize, &View) -> bool) {
         let kept: Vec<bool> = self.table.views.iter().enumerate().map(|(k, view)| is_kept(k, view)).collect();
-        let place: Vec<u32> =
+        let new_index: Vec<u32> =
             kept.iter().scan(0, |next, kept| Some(std::mem::replace(next, *next + u32::from(*kept)))).collect();
         let mut is_live = vec![false; self.table.tracks.len()];
         self.live.iter().for_each(|point| is_live[point.track] = true);
@@ -219,7 +224,7 @@ impl VideoFrontEnd {
         let mut tracks = Vec::new();
         for (k, mut track) in std::mem::take(&mut self.table.tracks).into_iter().enumerate() {
             track.retain(|feature| kept[feature.view as usize]);
-            track.iter_mut().for_each(|feature| feature.view = place[feature.view as usize]);
+            track.iter_mut().for_each(|feature| feature.view = new_index[feature.view as usize]);
             if is_live[k] || !track.is_empty() {
                 number[k] = tracks.len();
                 tracks.push(track);
@@ -239,21 +244,22 @@ impl VideoFrontEnd {
         self.table
     }
 
-    /// Goes on with points that were lost in earlier frames and are seen here. Where a newer point lies at the same
-    /// place, the older one goes on.
-    fn find_again(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
-        let found = self.memory.find_again(self.table.views.len(), gray, mask, &self.live)?;
-        // Two patches that near to one another see the same surface.
-        let goes_on = |point: &Live| found.iter().all(|f| (f.warp.center - point.warp.center).norm() > 2.0);
-        self.live.retain(goes_on);
+    /// Continues the tracks of points that were lost in earlier frames and are re-detected here.
+    ///
+    /// Where a newer point has the same position, the older one continues.
+    fn redetect(&mut self, gray: &GrayImage, mask: &Mask) -> Result<(), FeatureError> {
+        let found = self.memory.redetect(self.table.views.len(), gray, mask, &self.live)?;
+        // Two patches at this distance show the same surface.
+        let is_distinct = |point: &TrackedPoint| found.iter().all(|f| (f.warp.center - point.warp.center).norm() > 2.0);
+        self.live.retain(is_distinct);
         self.live.extend(found);
         Ok(())
     }
 
-    /// Fills up to the wanted number of points, away from those that are followed already.
+    /// Detects new points up to the wanted number, away from the tracked ones.
     ///
     /// * `strength` – of the whole frame, if it is known.
-    fn find_new(&mut self, gray: &GrayImage, strength: Option<&CornerStrength>, mask: &Mask) {
+    fn detect_new(&mut self, gray: &GrayImage, strength: Option<&CornerStrength>, mask: &Mask) {
         let wanted = self.options.max_points.saturating_sub(self.live.len());
         let mut free = mask.clone();
         let reach = self.reach.min_distance_px.ceil() as i64;
@@ -267,13 +273,14 @@ impl VideoFrontEnd {
                 self.table.tracks.push(Track::new());
                 let warp = Warp { shape: Matrix2::identity(), center };
                 let whitening = whitening(patch.covariance(&warp.shape, TYPICAL_DIFFERENCE));
-                self.live.push(Live { track, patch, warp, whitening, step: None, views_left: None });
+                self.live.push(TrackedPoint { track, patch, warp, whitening, step: None, views_left: None });
             }
         }
     }
 
-    /// The strongest corners of the pixels that are set, all of which lie within some bounds: of a small object no more
-    /// than its surroundings are looked at, unless the strength of the whole frame is known.
+    /// The strongest corners of the set pixels, all of which are within some bounds.
+    ///
+    /// Unless the strength of the whole frame is known, only the surroundings of a small object are searched.
     fn corners(
         &self,
         gray: &GrayImage,
@@ -300,17 +307,17 @@ impl VideoFrontEnd {
         let mut source = View::new(frame, 0);
         for (feature, point) in self.live.iter().enumerate() {
             let pixel = point.warp.center.cast::<f64>();
-            let colour = image.get_pixel_checked(pixel.x as u32, pixel.y as u32);
+            let color = image.get_pixel_checked(pixel.x as u32, pixel.y as u32);
             source.pixels.push(pixel);
             source.whitening.push(point.whitening);
-            source.rgb.push(colour.map_or([0; 3], |c| c.0));
+            source.rgb.push(color.map_or([0; 3], |c| c.0));
             self.table.tracks[point.track].push(Feature { view, feature: feature as u32 });
         }
         self.table.views.push(source);
     }
 }
 
-/// Mean squared difference between a patch and its next sight.
+/// Mean squared difference between a patch and its next observation.
 const TYPICAL_DIFFERENCE: f32 = 0.05;
 
 fn clear_disc(mask: &mut Mask, center: Point2<f32>, reach: i64) {

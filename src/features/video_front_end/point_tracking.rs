@@ -1,29 +1,29 @@
-//! From one frame to the next: where the points that live are predicted, and aligned.
+//! Tracking from one frame to the next: prediction and alignment of the live points.
 
 use nalgebra::{Point2, Vector2};
 
-use super::tracked_point::Live;
+use super::tracked_point::TrackedPoint;
 use super::{FirstLook, VideoFrontEnd};
 use crate::features::patch::Aligned;
 use crate::image::{LucasKanade, Pyramid};
 use crate::math::Neighbors;
 use crate::scene::Mask;
 
-/// Where fewer of the points are found near where their last steps lead, the picture shows another place or moves
-/// otherwise than before, and what is found there is chance.
+/// Minimum share of the predicted points that are found near their predictions. With fewer, the image shows another
+/// scene or moves otherwise than before, and what is found there is chance.
 const MIN_NEAR: f64 = 0.5;
 
 impl VideoFrontEnd {
-    /// Follows the points that live into the next frame, and forgets those that are not seen there.
+    /// Tracks the live points into the next frame, and drops those that are lost.
     pub(super) fn follow(&mut self, previous: &Pyramid, pyramid: &Pyramid, mask: &Mask) {
         let gray = pyramid.picture();
-        let followed = self.looked_for(previous, pyramid);
+        let followed = self.aligned_points(previous, pyramid);
         let (mut moves, mut lost) = (Vec::new(), Vec::new());
         for (mut point, found) in std::mem::take(&mut self.live).into_iter().zip(followed) {
             match found {
                 Some(found) => {
                     moves.push([point.warp.center, found.warp.center]);
-                    point.go_on(&found);
+                    point.update(&found);
                     self.live.push(point);
                 }
                 None => lost.push(point),
@@ -31,9 +31,9 @@ impl VideoFrontEnd {
         }
         let motion = Motion::new(&moves);
         for mut point in lost {
-            let carried = motion.carry(point.warp.center);
-            if let Some(found) = point.aligned(carried, gray, self.options.min_found_again) {
-                point.go_on(&found);
+            let predicted = motion.predict(point.warp.center);
+            if let Some(found) = point.aligned(predicted, gray, self.options.min_found_again) {
+                point.update(&found);
                 self.live.push(point);
             }
         }
@@ -47,10 +47,12 @@ impl VideoFrontEnd {
         });
     }
 
-    /// The points that live, where Lucas-Kanade leads and their patches are seen: first those that have moved before,
-    /// from where their last step leads, or those of a small target, from where its mask has gone; and through the
-    /// whole pyramid what is new or lost so. The patch is the check, so that nothing is followed back.
-    fn looked_for(&self, previous: &Pyramid, pyramid: &Pyramid) -> Vec<Option<Aligned>> {
+    /// Aligns the live points in the next frame, at the positions that Lucas-Kanade finds.
+    ///
+    /// Points with a predicted position, or those of a small target with its mask's displacement, are searched there
+    /// first. New points and those lost there are searched through the whole pyramid. The patch verifies them, so there
+    /// is no backward tracking.
+    fn aligned_points(&self, previous: &Pyramid, pyramid: &Pyramid) -> Vec<Option<Aligned>> {
         let tracker = LucasKanade {
             window_radius_px: self.reach.window_radius_px.max(1) as usize,
             num_smaller: self.options.pyramid_levels.max(0) as usize,
@@ -58,28 +60,30 @@ impl VideoFrontEnd {
             converged_px: 0.03,
             min_eigenvalue: 1e-4,
         };
-        let prediction = |live: &Live| match self.options.first_look {
+        let prediction = |live: &TrackedPoint| match self.options.first_look {
             FirstLook::Predicted => live.predicted(),
             FirstLook::Pyramid => self.shift.map(|shift| live.warp.center + shift),
         };
-        let look = |tracker: LucasKanade, chosen: &[usize], guesses: &[Point2<f32>]| -> Vec<Option<Aligned>> {
-            let starts: Vec<_> = chosen.iter().map(|&k| self.live[k].warp.center).collect();
-            let followed = tracker.follow(previous, pyramid, &starts, guesses).into_iter().zip(chosen);
-            let aligned =
-                |position, k: usize| self.live[k].aligned(position, pyramid.picture(), self.options.min_correlation);
-            followed.map(|(followed, &k)| aligned(followed?.position, k)).collect()
-        };
+        let track_and_align =
+            |tracker: LucasKanade, chosen: &[usize], guesses: &[Point2<f32>]| -> Vec<Option<Aligned>> {
+                let starts: Vec<_> = chosen.iter().map(|&k| self.live[k].warp.center).collect();
+                let followed = tracker.follow(previous, pyramid, &starts, guesses).into_iter().zip(chosen);
+                let aligned = |position, k: usize| {
+                    self.live[k].aligned(position, pyramid.picture(), self.options.min_correlation)
+                };
+                followed.map(|(followed, &k)| aligned(followed?.position, k)).collect()
+            };
         let mut found: Vec<Option<Aligned>> = vec![None; self.live.len()];
         let (moving, predicted): (Vec<usize>, Vec<Point2<f32>>) =
             self.live.iter().enumerate().filter_map(|(k, live)| Some((k, prediction(live)?))).unzip();
-        let near = look(tracker.near(), &moving, &predicted);
+        let near = track_and_align(tracker.near(), &moving, &predicted);
         if near.iter().flatten().count() as f64 >= MIN_NEAR * moving.len() as f64 {
             moving.into_iter().zip(near).for_each(|(k, aligned)| found[k] = aligned);
         }
         let open: Vec<usize> = (0..found.len()).filter(|&k| found[k].is_none()).collect();
-        let places: Vec<_> = open.iter().map(|&k| self.live[k].warp.center).collect();
-        let anywhere = look(tracker, &open, &places);
-        open.into_iter().zip(anywhere).for_each(|(k, aligned)| found[k] = aligned);
+        let positions: Vec<_> = open.iter().map(|&k| self.live[k].warp.center).collect();
+        let remaining = track_and_align(tracker, &open, &positions);
+        open.into_iter().zip(remaining).for_each(|(k, aligned)| found[k] = aligned);
         found
     }
 }
@@ -97,9 +101,9 @@ impl Motion {
         Self { shifts: moves.iter().map(|[from, to]| to - from).collect(), tree: Neighbors::new(&starts) }
     }
 
-    /// Where a point goes if it moves like its neighbours: by the median of their shifts.
-    fn carry(&self, from: Point2<f32>) -> Point2<f32> {
-        // Nine: odd, for a median; few enough to lie on the same surface.
+    /// Predicts a point by the median displacement of its neighbors.
+    fn predict(&self, from: Point2<f32>) -> Point2<f32> {
+        // Nine: odd, for a median; few enough to be on the same surface.
         let near = self.tree.as_ref().map(|tree| tree.nearest(&from.coords.cast::<f64>().into(), 9));
         let near = near.unwrap_or_default();
         if near.is_empty() {

@@ -1,16 +1,16 @@
-//! Points of an earlier view, found again in a view between which no track lives.
+//! Re-detection of points of an earlier view in a view that shares no track with it.
 //!
-//! SIFT features of both views are matched and verified by one epipolar geometry. They say where a point went: by the
-//! affine map of the matches round it, or as the nearest of them moved, turned and grew. There the patch round the
-//! point, as the earlier view showed it, is aligned ([`crate::features::patch`]), so that the positions are as exact as
-//! those of any track, but for the error that the point had in the earlier view. Points that are found count if one
-//! epipolar geometry explains them.
+//! SIFT features of both views are matched and verified by one epipolar geometry. They predict each point: by the
+//! affine map of the matches around it, or by the displacement, rotation and scale of the nearest of them. There the
+//! patch of the point in the earlier view is aligned ([`crate::features::patch`]), so that the positions are as
+//! accurate as those of any track, except for the error of the point in the earlier view. Re-detected points count if
+//! one epipolar geometry explains them.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Vector2, Vector3};
 
 use super::affine_views::{AffineView, AffineViews};
 use super::keyframe::{FEW_POINTS, Keyframe};
-use super::tracked_point::{Live, whitening};
+use super::tracked_point::{TrackedPoint, whitening};
 use crate::camera::Camera;
 use crate::features::matching::{MatchOptions, match_features, match_where};
 use crate::features::patch::{Aligned, Patch, Warp};
@@ -42,39 +42,46 @@ const MAX_GUIDED_ERROR_PX: f64 = 2.0;
 /// Limits of the descriptors of guided matches, which the epipolar line restricts.
 const GUIDED: MatchOptions = MatchOptions { max_ratio: 0.85, max_distance: 0.65 };
 
-/// The view at hand.
-pub struct Now<'a> {
+/// Current view.
+pub struct CurrentView<'a> {
     pub camera: &'a Camera,
     pub matching: &'a MatchOptions,
-    pub looks: &'a AffineViews,
+    pub affine_views: &'a AffineViews,
     pub gray: &'a GrayImage,
     pub mask: &'a Mask,
 }
 
-/// Finds the points of an earlier view that are not known in the view at hand; none where too few agree.
+/// Re-detects the points of an earlier view that are not known in the current one; none if too few agree.
 ///
 /// * `patch_radius` – half the side of a patch, pixels.
-/// * `follow_for` – for how many views they are to be followed; `None` for as long as they are seen.
+/// * `max_views` – number of views in which they are tracked; `None` for as long as they are visible.
 pub fn find(
     key: &Keyframe,
-    now: &Now<'_>,
+    current: &CurrentView<'_>,
     patch_radius: i32,
     is_known: impl Fn(usize) -> bool,
-    follow_for: Option<usize>,
-) -> Vec<Live> {
-    let moves = moves_between(&key.looks, now);
+    max_views: Option<usize>,
+) -> Vec<TrackedPoint> {
+    let moves = moves_between(&key.affine_views, current);
     let Some(field) = Field::new(&moves) else { return Vec::new() };
-    let mut found: Vec<(Point2<f32>, Live)> = Vec::new();
-    for sight in key.sights.iter().filter(|sight| !is_known(sight.track)) {
-        let Some(patch) = sight.patch(patch_radius) else { continue };
-        let Some(best) = best_alignment(&patch, &field.predictions(sight.center), now) else { continue };
+    let mut found: Vec<(Point2<f32>, TrackedPoint)> = Vec::new();
+    for appearance in key.appearances.iter().filter(|appearance| !is_known(appearance.track)) {
+        let Some(patch) = appearance.patch(patch_radius) else { continue };
+        let Some(best) = best_alignment(&patch, &field.predictions(appearance.center), current) else { continue };
         let whitening = whitening(best.covariance);
-        let point = Live { track: sight.track, patch, warp: best.warp, whitening, step: None, views_left: follow_for };
-        found.push((sight.center, point));
+        let point = TrackedPoint {
+            track: appearance.track,
+            patch,
+            warp: best.warp,
+            whitening,
+            step: None,
+            views_left: max_views,
+        };
+        found.push((appearance.center, point));
     }
     let ends: Vec<[Point2<f64>; 2]> = found.iter().map(|(from, to)| [from.cast(), to.warp.center.cast()]).collect();
-    let (pairs, mut rng) = correspondences(now.camera, &ends);
-    let agreeing = two_view::verify(&pairs, MAX_POINT_ERROR_PX / now.camera.mean_focal(), &mut rng);
+    let (pairs, mut rng) = correspondences(current.camera, &ends);
+    let agreeing = two_view::verify(&pairs, MAX_POINT_ERROR_PX / current.camera.mean_focal(), &mut rng);
     tracing::trace!(moves = moves.len(), found = found.len(), agreeing = agreeing.len(), "aligned");
     if agreeing.len() < MIN_AGREEING || (agreeing.len() as f64) < MIN_AGREEING_SHARE * found.len() as f64 {
         return Vec::new();
@@ -91,27 +98,26 @@ struct Move {
     shape: Matrix2<f32>,
 }
 
-/// Motions of features from an earlier view: matches that one epipolar geometry explains, and then all that match along
-/// its lines.
-fn moves_between(before: &AffineViews, now: &Now<'_>) -> Vec<Move> {
-    let pairs = before.pairs_with(now.looks);
-    let matched = |(a, b): &(&AffineView, &AffineView)| match_features(&a.features, &b.features, now.matching);
+/// Displacements of features from an earlier view: matches under one epipolar geometry, and then all along its lines.
+fn moves_between(before: &AffineViews, current: &CurrentView<'_>) -> Vec<Move> {
+    let pairs = before.pairs_with(current.affine_views);
+    let matched = |(a, b): &(&AffineView, &AffineView)| match_features(&a.features, &b.features, current.matching);
     let matches: Vec<Vec<[u32; 2]>> = pairs.iter().map(matched).collect();
     let ends: Vec<[Point2<f64>; 2]> = pairs.iter().zip(&matches).flat_map(|(pair, m)| ends_of(pair, m)).collect();
-    let (pairs_of_ends, mut rng) = correspondences(now.camera, &ends);
-    let max_error = MAX_MATCH_ERROR_PX / now.camera.mean_focal();
+    let (pairs_of_ends, mut rng) = correspondences(current.camera, &ends);
+    let max_error = MAX_MATCH_ERROR_PX / current.camera.mean_focal();
     let Some(geometry) = two_view::estimate(&pairs_of_ends, max_error, &mut rng) else { return Vec::new() };
     let enough =
         geometry.inliers.len() >= FEW_POINTS && geometry.inliers.len() as f64 >= MIN_INLIER_RATIO * ends.len() as f64;
     if !enough {
         return Vec::new();
     }
-    let max_error = MAX_GUIDED_ERROR_PX / now.camera.mean_focal();
+    let max_error = MAX_GUIDED_ERROR_PX / current.camera.mean_focal();
     let Rigid3 { rotation, translation } = geometry.cam2_from_cam1;
     let essential = translation.cross_matrix() * rotation.to_rotation_matrix().matrix();
     let guided = |(a, b): &(&AffineView, &AffineView)| {
-        let normalized = |look: &AffineView| {
-            look.features.pixels.iter().map(|&p| now.camera.normalized_from_pixel(p)).collect::<Vec<_>>()
+        let normalized = |view: &AffineView| {
+            view.features.pixels.iter().map(|&p| current.camera.normalized_from_pixel(p)).collect::<Vec<_>>()
         };
         let (first, second) = (normalized(a), normalized(b));
         let distance = |i: usize, j: usize| two_view::sampson_distance(&essential, &first[i], &second[j]).abs();
@@ -141,20 +147,20 @@ fn ends_of((a, b): &(&AffineView, &AffineView), matches: &[[u32; 2]]) -> Vec<[Po
     matches.iter().map(|m| [a.features.pixels[m[0] as usize], b.features.pixels[m[1] as usize]]).collect()
 }
 
-/// Pixels in two views of one camera, with random numbers for these.
+/// Correspondences of two views of one camera, and a random number generator.
 fn correspondences(camera: &Camera, ends: &[[Point2<f64>; 2]]) -> (Correspondences, Rng) {
     (Correspondences::new([camera; 2], ends.iter().copied()), seeded_rng(0, ends.len() as u64))
 }
 
-/// The alignment with the highest correlation of those that start at the predictions.
-fn best_alignment(patch: &Patch, predictions: &[Warp], now: &Now<'_>) -> Option<Aligned> {
+/// Best alignment by correlation of those that start at the predictions.
+fn best_alignment(patch: &Patch, predictions: &[Warp], current: &CurrentView<'_>) -> Option<Aligned> {
     let mut best: Option<Aligned> = None;
     for start in predictions {
-        let Some(found) = patch.align(now.gray, start) else { continue };
+        let Some(found) = patch.align(current.gray, start) else { continue };
         let center = found.warp.center;
         let counts = found.correlation >= MIN_CORRELATION
             && (center - start.center).norm() <= MAX_CORRECTION_PX
-            && now.mask.contains(center.x.into(), center.y.into());
+            && current.mask.contains(center.x.into(), center.y.into());
         if counts && best.as_ref().is_none_or(|b| found.correlation > b.correlation) {
             best = Some(found);
         }
@@ -177,7 +183,7 @@ impl<'a> Field<'a> {
         Some(Self { moves, tree: Neighbors::new(&starts)? })
     }
 
-    /// Where, and how turned and grown, a point may be found.
+    /// Predicted warps of a point.
     fn predictions(&self, from: Point2<f32>) -> Vec<Warp> {
         let near = self.tree.nearest(&from.coords.cast::<f64>().into(), NUM_AFFINE);
         let round: Vec<&Move> = near.iter().map(|&i| &self.moves[i]).collect();
@@ -187,7 +193,7 @@ impl<'a> Field<'a> {
     }
 }
 
-/// The affine map that moves take on the whole, at a point; `None` where they lie on a line or it makes no sense.
+/// Affine map of the displacements, at a point; `None` if they are collinear or it is implausible.
 fn affine(moves: &[&Move], at: Point2<f32>) -> Option<Warp> {
     let (mut normal, mut right) = (Matrix3::<f32>::zeros(), Matrix3x2::<f32>::zeros());
     for m in moves {

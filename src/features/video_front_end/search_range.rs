@@ -1,10 +1,10 @@
-//! Search range and position of a point, by its target's size.
+//! Search range and point spacing by the size of the target.
 //!
-//! A patch shows its point only as far as it lies on the target. Round a corner of a vehicle of thirty pixels a patch
-//! of fifteen is half road, which slides along below it: the track ends after a few frames, or drifts with the road. In
-//! the coarse pictures of a pyramid such a vehicle has four pixels, and what Lucas-Kanade finds there is the road's
-//! motion. So small targets get smaller patches and windows, points that lie nearer to one another,
-//! and their points are looked for first where their mask has gone.
+//! A patch shows its point only where it covers the target. At a corner of a vehicle of thirty pixels a patch of
+//! fifteen is half road, which moves relative to it: the track ends after a few frames, or drifts with the road. At the
+//! coarse levels of a pyramid such a vehicle has four pixels, and Lucas-Kanade estimates the motion of the road. So
+//! small targets get smaller patches and windows and denser points, and their points are searched first at the
+//! displacement of their mask.
 
 use nalgebra::{Point2, Vector2};
 
@@ -15,17 +15,17 @@ use crate::scene::Mask;
 const SIDE_IN_RADII: f64 = 5.0;
 /// Half the side of the smallest patch that still determines a position, pixels.
 const MIN_RADIUS_PX: i32 = 3;
-/// Largest spacing of points, from one another and from the outline, as a share of the target's side.
+/// Maximum spacing of points, from one another and from the outline, as a share of the target's side.
 const SPACING: f64 = 0.1;
-/// Smallest spacing of two points, pixels.
+/// Minimum spacing of two points, pixels.
 const MIN_SPACING_PX: f64 = 2.0;
-/// Smallest distance of points from the outline, pixels: a nearer one is on the road as often as not.
+/// Minimum distance of points from the outline, pixels: a nearer one is on the road as often as not.
 const MIN_BORDER_PX: u32 = 1;
 
-/// Where a target is, and how large.
+/// Position and size of a target.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
-    /// The middle of its pixels.
+    /// Mean of its pixels.
     pub middle: Point2<f32>,
     /// The side of a square of its area, pixels.
     pub side_px: f64,
@@ -47,17 +47,17 @@ impl Extent {
     }
 }
 
-/// Search range that `options` ask for, as far as a target is large enough for it.
+/// Search range of the options, limited by the size of the target.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Reach {
+pub struct SearchRange {
     pub window_radius_px: i32,
     pub patch_radius_px: i32,
     pub min_distance_px: f64,
     pub border_px: u32,
 }
 
-impl Reach {
-    /// Of a target of a size; of none, what `options` say.
+impl SearchRange {
+    /// Search range for a target's extent; without an extent that of the options.
     pub fn new(options: &VideoOptions, extent: Option<Extent>) -> Self {
         let side_px = extent.map_or(f64::INFINITY, |extent| extent.side_px);
         let most_radius_px = ((side_px / SIDE_IN_RADII).min(1000.0) as i32).max(MIN_RADIUS_PX);
@@ -71,8 +71,9 @@ impl Reach {
     }
 }
 
-/// Displacement of a target between two frames; `None` for one that fills the window of the coarsest images, whose
-/// motion these show.
+/// Displacement of a target between two frames, for small targets.
+///
+/// `None` for a target that fills the window at the coarsest level, which shows its motion.
 pub fn shift(options: &VideoOptions, from: Option<Extent>, to: Option<Extent>) -> Option<Vector2<f32>> {
     let coarsest_px = f64::from(options.window_radius_px) * 2f64.powi(options.pyramid_levels);
     let (from, to) = (from?, to?);
@@ -92,18 +93,21 @@ mod tests {
     }
 
     #[test]
-    fn small_targets_are_looked_at_closely_and_large_ones_as_they_were() {
+    fn small_targets_get_small_patches_and_large_ones_those_of_the_options() {
         let options = VideoOptions::object();
-        let reach = |side_px| Reach::new(&options, Some(Extent { middle: Point2::origin(), side_px }));
-        let large = Reach::new(&options, None);
+        let reach = |side_px| SearchRange::new(&options, Some(Extent { middle: Point2::origin(), side_px }));
+        let large = SearchRange::new(&options, None);
         assert_eq!(large.patch_radius_px, options.patch_radius_px);
         assert_eq!((reach(60.0), large.min_distance_px, large.border_px), (large, 4.0, 2));
-        assert_eq!(reach(21.0), Reach { window_radius_px: 4, patch_radius_px: 4, min_distance_px: 2.1, border_px: 2 });
+        assert_eq!(
+            reach(21.0),
+            SearchRange { window_radius_px: 4, patch_radius_px: 4, min_distance_px: 2.1, border_px: 2 }
+        );
         assert_eq!((reach(15.0).border_px, reach(1.0).patch_radius_px), (1, 3));
     }
 
     #[test]
-    fn only_small_targets_are_looked_for_where_their_mask_went() {
+    fn only_small_targets_are_searched_at_the_displacement_of_their_mask() {
         let options = VideoOptions::object();
         let at = |x, side_px| Some(Extent { middle: Point2::new(x, 5.0), side_px });
         assert_eq!(shift(&options, at(3.0, 20.0), at(10.0, 21.0)), Some(Vector2::new(7.0, 0.0)));

@@ -1,4 +1,4 @@
-//! Points that are lost and found again, on pictures whose motion is known.
+//! Lost and re-detected points, on images with known motion.
 
 use nalgebra::Vector2;
 use rand::Rng as _;
@@ -7,7 +7,7 @@ use super::*;
 use crate::math::seeded_rng;
 use crate::scene::FrameId;
 
-/// Random grey, coarse and fine together: corners everywhere, no two alike.
+/// Random gray values, coarse and fine together: corners everywhere, no two alike.
 fn texture() -> GrayImage {
     let mut rng = seeded_rng(5, 0);
     let mut layer = |cell: u32| {
@@ -21,20 +21,20 @@ fn texture() -> GrayImage {
     })
 }
 
-/// Tracks of a window that moves over the texture; its corners, whole pixels, by frame. One frame may be hidden.
-fn followed(corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
-    followed_with(VideoOptions::object(), corners, hidden)
+/// Tracks of a window that moves over the texture; its corners, whole pixels, by frame. One frame may be occluded.
+fn tracked(corners: &[[u32; 2]], occluded: Option<u32>) -> TrackTable {
+    tracked_with(VideoOptions::object(), corners, occluded)
 }
 
-fn followed_with(options: VideoOptions, corners: &[[u32; 2]], hidden: Option<u32>) -> TrackTable {
-    followed_while(options, corners, hidden, |_| {})
+fn tracked_with(options: VideoOptions, corners: &[[u32; 2]], occluded: Option<u32>) -> TrackTable {
+    tracked_while(options, corners, occluded, |_| {})
 }
 
-/// As [`followed_with`]; `then` follows every frame.
-fn followed_while(
+/// As [`tracked_with`]; `then` follows every frame.
+fn tracked_while(
     options: VideoOptions,
     corners: &[[u32; 2]],
-    hidden: Option<u32>,
+    occluded: Option<u32>,
     mut then: impl FnMut(&mut VideoFrontEnd),
 ) -> TrackTable {
     const SIZE: [u32; 2] = [320, 240];
@@ -44,7 +44,7 @@ fn followed_while(
         let window = ::image::imageops::crop_imm(&texture, *x, *y, SIZE[0], SIZE[1]).to_image();
         let image = RgbImage::from_fn(SIZE[0], SIZE[1], |x, y| ::image::Rgb([window.get_pixel(x, y).0[0]; 3]));
         let frame = Frame { id: FrameId(k), name: format!("{k}.png"), time_s: f64::from(k) };
-        let mask = Mask::from_fn(SIZE[0], SIZE[1], |_, _| hidden != Some(k));
+        let mask = Mask::from_fn(SIZE[0], SIZE[1], |_, _| occluded != Some(k));
         front_end.push(&frame, &Picture::new(&image), &mask).unwrap();
         then(&mut front_end);
     }
@@ -54,8 +54,8 @@ fn followed_while(
 #[test]
 fn dropped_views_leave_the_other_tracks_as_they_are() {
     let corners: Vec<[u32; 2]> = (0..12).map(|k| [2 * k, k]).collect();
-    let whole = followed(&corners, None);
-    let kept = followed_while(VideoOptions::object(), &corners, None, |front_end| {
+    let whole = tracked(&corners, None);
+    let kept = tracked_while(VideoOptions::object(), &corners, None, |front_end| {
         let now = front_end.table().views.len();
         front_end.retain_views(|view, _| view + 4 >= now || view == 0);
     });
@@ -86,17 +86,17 @@ fn crossing(table: &TrackTable, first: u32, then: u32) -> Vec<&Track> {
 }
 
 #[test]
-fn another_place_is_not_taken_for_the_same() {
+fn another_place_is_not_matched() {
     let corners: Vec<[u32; 2]> = (0..6).map(|k| [2 * k, k]).chain((0..5).map(|k| [540 + 2 * k, 200 + k])).collect();
-    assert!(crossing(&followed(&corners, Some(5)), 4, 6).is_empty());
+    assert!(crossing(&tracked(&corners, Some(5)), 4, 6).is_empty());
 }
 
 #[test]
-fn a_place_that_comes_back_is_tied_for_a_few_views() {
+fn a_loop_closure_lasts_for_a_few_views() {
     let here = |k: u32| [2 * k, k];
     let elsewhere = (0..105).map(|k| [500 + k / 2, 200]);
     let corners: Vec<[u32; 2]> = (0..5).map(here).chain(elsewhere).chain((2..16).map(here)).collect();
-    let table = followed(&corners, None);
+    let table = tracked(&corners, None);
     let after_long = |track: &Track| track.windows(2).position(|w| w[1].view >= w[0].view + 100);
     let returned: Vec<(&Track, usize)> =
         table.tracks.iter().filter_map(|track| Some((track, track.len() - 1 - after_long(track)?))).collect();
@@ -106,19 +106,19 @@ fn a_place_that_comes_back_is_tied_for_a_few_views() {
         assert!(num_later <= 8, "{num_later} views after {:?}", track[0]);
         drifts.push(drift(&table, &corners, track));
     }
-    // One joint in five may be wrong (docs/sfm.md).
+    // One re-detection in five may be wrong (docs/sfm.md).
     let num_right = drifts.iter().filter(|drift| **drift < 0.5).count();
     assert!(5 * num_right >= 4 * drifts.len(), "{drifts:?}");
 }
 
 #[test]
-fn re_detection_matches_as_the_options_say() {
+fn re_detection_uses_the_matching_options() {
     let here = |k: u32| [2 * k, k];
     let elsewhere = (0..3).map(|k| [500 + k, 200]);
     let corners: Vec<[u32; 2]> = (0..5).map(here).chain(elsewhere).chain((5..8).map(here)).collect();
     let num_found = |matching: MatchOptions| {
         let options = VideoOptions { matching, ..VideoOptions::object() };
-        crossing(&followed_with(options, &corners, None), 3, 9).len()
+        crossing(&tracked_with(options, &corners, None), 3, 9).len()
     };
     assert!(num_found(MatchOptions::default()) >= 20);
     // A few points survive by tracking alone.

@@ -12,7 +12,7 @@ use crate::camera::{Camera, up_in_cam};
 use crate::math::{Rigid3, median, seeded_rng};
 use crate::scene::{CameraId, ImageId, Observation, Point3dId};
 
-/// A camera at rest that looks down by `pitch`, rolled by `roll`; vehicles of 4.5 m drive on straight lines.
+/// Stationary camera, inclined down by `pitch`, rolled by `roll`; vehicles of 4.5 m drive on straight lines.
 fn scene(pitch: f64, roll: f64, seed: u64) -> (Reconstruction, Vec<BTreeMap<FrameId, Rect>>, Vector3<f64>) {
     const HEIGHT: f64 = 60.0;
     let camera = Camera::with_focal(1280, 720, 1000.0);
@@ -60,7 +60,7 @@ fn scene(pitch: f64, roll: f64, seed: u64) -> (Reconstruction, Vec<BTreeMap<Fram
 }
 
 #[test]
-fn sizes_of_vehicles_show_the_ground() {
+fn sizes_of_vehicles_determine_the_ground() {
     let mut found = Vec::new();
     let mut all = 0;
     for seed in 0..12 {
@@ -71,15 +71,15 @@ fn sizes_of_vehicles_show_the_ground() {
             all += 1;
         }
     }
-    // Seen from nearly straight above, few paths tell; then there is no answer.
-    let within = found.iter().filter(|(_, off, std)| *off <= 2.0 * std).count();
+    // In views near the nadir few paths determine the ground; then there is no result.
+    let within = found.iter().filter(|(_, error, std)| *error <= 2.0 * std).count();
     assert!(found.len() * 3 >= all * 2 && within * 10 >= found.len() * 9, "{} of {all}: {found:?}", found.len());
 }
 
 #[test]
-fn sizes_that_vary_know_less() {
-    // From straight above, extents that grow along each path would show an inclined ground.
-    let mut off = Vec::new();
+fn the_tilt_std_grows_with_the_noise_of_the_sizes() {
+    // In nadir views, extents that grow along each path would be explained by an inclined ground.
+    let mut errors = Vec::new();
     for seed in 0..12 {
         let (background, mut vehicles, up) = scene(FRAC_PI_2, 0.0, seed);
         for (k, images) in vehicles.iter_mut().enumerate() {
@@ -91,27 +91,27 @@ fn sizes_that_vary_know_less() {
             }
         }
         let solver = TiltSolver::new(&background, &vehicles, 0.0).unwrap();
-        off.extend(solver.tilt(&[]).map(|tilt| {
+        errors.extend(solver.tilt(&[]).map(|tilt| {
             (solver.problem.normal(tilt.angles).angle(&up), tilt.covariance.trace().sqrt(), solver.problem.noise)
         }));
     }
-    let within = off.iter().filter(|(off, std, _)| off <= std).count();
-    assert!(off.len() > 6 && within * 3 >= off.len() * 2, "{off:?}");
-    assert!(off.iter().all(|(off, std, _)| *off < 3.0 * std), "{off:?}");
-    assert!(median(off.iter().map(|(.., noise)| *noise).collect()).unwrap() > 1.5, "{off:?}");
+    let within = errors.iter().filter(|(error, std, _)| error <= std).count();
+    assert!(errors.len() > 6 && within * 3 >= errors.len() * 2, "{errors:?}");
+    assert!(errors.iter().all(|(error, std, _)| *error < 3.0 * std), "{errors:?}");
+    assert!(median(errors.iter().map(|(.., noise)| *noise).collect()).unwrap() > 1.5, "{errors:?}");
 }
 
 #[test]
-fn a_stated_vertical_holds_straight_down_too() {
+fn a_given_vertical_determines_the_ground_in_nadir_views_too() {
     for (pitch, tilt) in [(0.6, 0.02), (FRAC_PI_2, 0.03), (1.6, -0.01)] {
         let (background, ..) = scene(1.0, 0.0, 1);
         let up = up_in_cam(Vector2::new(pitch, tilt));
         let found = hovering_ground(
             &background,
             &[],
-            vec![StatedTilt {
+            vec![TiltEstimate {
                 kind: TiltKind::Vertical,
-                ..StatedTilt::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))
+                ..TiltEstimate::of_up("telemetry", &up, &(Matrix3::identity() * 4e-4))
             }],
             0.0,
         )
@@ -121,10 +121,10 @@ fn a_stated_vertical_holds_straight_down_too() {
 }
 
 #[test]
-fn the_plane_of_a_map_is_taken_as_it_is() {
+fn the_plane_of_a_map_is_used_without_fusion() {
     let (background, vehicles, up) = scene(0.6, 0.0, 1);
     let of_map = up_in_cam(Vector2::new(0.63, 0.01));
-    let tilt = |kind| StatedTilt { kind, ..StatedTilt::of_up("map", &of_map, &(Matrix3::identity() * 4e-4)) };
+    let tilt = |kind| TiltEstimate { kind, ..TiltEstimate::of_up("map", &of_map, &(Matrix3::identity() * 4e-4)) };
     let found = |kind| hovering_ground(&background, &vehicles, vec![tilt(kind)], 0.0).unwrap();
     let plane = TiltKind::Map { relief_in_world: Vec::new() };
     let (map, ground) = (found(plane), found(TiltKind::Ground));
@@ -136,7 +136,7 @@ fn the_plane_of_a_map_is_taken_as_it_is() {
 #[test]
 fn planes_follow_points_with_heights() {
     let (mut background, vehicles, up) = scene(0.6, 0.0, 1);
-    // The ground rises by a tenth of the camera's height beyond its foot, seen at the middle of the frame.
+    // The ground is higher by a tenth of the camera's height where the ray of the image center meets it.
     let axis = Vector3::z();
     let foot = Point3::from(axis / -up.dot(&axis));
     let relief: Vec<Point3<f64>> = (0..9)
@@ -147,7 +147,7 @@ fn planes_follow_points_with_heights() {
     image.observations = vec![Observation { pixel: Point2::new(640.0, 360.0), point: Some(Point3dId(0)) }];
     let height = |relief_in_world: Vec<Point3<f64>>| {
         let kind = TiltKind::Map { relief_in_world };
-        let tilt = StatedTilt { kind, ..StatedTilt::of_up("map", &up, &(Matrix3::identity() * 4e-4)) };
+        let tilt = TiltEstimate { kind, ..TiltEstimate::of_up("map", &up, &(Matrix3::identity() * 4e-4)) };
         let ground = hovering_ground(&background, &vehicles, vec![tilt], 0.0).unwrap();
         let planes = ground.planes(&background, &background).planes;
         let plane = planes.values().next().unwrap();
@@ -158,54 +158,54 @@ fn planes_follow_points_with_heights() {
 }
 
 #[test]
-fn another_focal_length_turns_the_ground_as_stated() {
+fn a_change_of_the_focal_length_rotates_the_ground_as_predicted() {
     let (mut background, vehicles, _) = scene(0.8, 0.0, 3);
     let focal_std = 0.1;
     let found = |background: &Reconstruction| hovering_ground(background, &vehicles, Vec::new(), focal_std).unwrap();
-    let as_it_is = found(&background);
+    let original = found(&background);
     let camera = background.cameras[&CameraId(1)];
     background.cameras.insert(CameraId(1), camera.zoomed(focal_std.exp()));
-    let turned = found(&background).normal_in_world - as_it_is.normal_in_world;
+    let turned = found(&background).normal_in_world - original.normal_in_world;
     assert!(turned.norm() > 0.01, "{turned}");
-    assert!((turned - as_it_is.normal_by_focal).norm() < 0.3 * turned.norm(), "{turned} {as_it_is:?}");
-    assert!(as_it_is.total_tilt_std() > as_it_is.tilt_std);
+    assert!((turned - original.normal_by_focal).norm() < 0.3 * turned.norm(), "{turned} {original:?}");
+    assert!(original.total_tilt_std() > original.tilt_std);
 }
 
 #[test]
-fn sources_that_disagree_know_less() {
+fn sources_that_disagree_have_a_larger_std() {
     let (background, ..) = scene(0.6, 0.0, 1);
-    let tilt = |pitch: f64| StatedTilt {
+    let tilt = |pitch: f64| TiltEstimate {
         source: "pitch".to_owned(),
         angles: [pitch, 0.0],
         std: [Some(0.02), Some(0.02)],
         kind: TiltKind::Vertical,
     };
     let found = |other: f64| hovering_ground(&background, &[], vec![tilt(0.6), tilt(other)], 0.0).unwrap();
-    let (agreed, apart) = (found(0.61), found(0.72));
+    let (agreed, contradictory) = (found(0.61), found(0.72));
     assert!((agreed.tilt_std - 0.02).abs() < 1e-3, "{agreed:?}");
-    assert!((apart.pitch - 0.66).abs() < 1e-3 && apart.tilt_std > 0.05, "{apart:?}");
-    assert_eq!(apart.contradictions.len(), 2);
+    assert!((contradictory.pitch - 0.66).abs() < 1e-3 && contradictory.tilt_std > 0.05, "{contradictory:?}");
+    assert_eq!(contradictory.contradictions.len(), 2);
 }
 
 #[test]
-fn a_stated_pitch_is_enough_and_nothing_is_not() {
+fn a_given_pitch_determines_the_ground_and_no_source_does_not() {
     let (background, vehicles, up) = scene(0.6, 0.0, 1);
     let pitch = |pitch: f64| {
-        vec![StatedTilt {
+        vec![TiltEstimate {
             source: "pitch".to_owned(),
             angles: [pitch, 0.0],
             std: [Some(0.01), None],
             kind: TiltKind::Ground,
         }]
     };
-    let stated = hovering_ground(&background, &[], pitch(0.6), 0.0).unwrap();
-    assert!(stated.normal_in_world.angle(&up) < 1e-3 && stated.tilt_std < 0.04, "{stated:?}");
+    let by_pitch = hovering_ground(&background, &[], pitch(0.6), 0.0).unwrap();
+    assert!(by_pitch.normal_in_world.angle(&up) < 1e-3 && by_pitch.tilt_std < 0.04, "{by_pitch:?}");
     assert_eq!(hovering_ground(&background, &[], Vec::new(), 0.0), None);
-    assert_eq!(stated.by_vehicles, None);
+    assert_eq!(by_pitch.by_vehicles, None);
     let both = hovering_ground(&background, &vehicles, pitch(0.6), 0.0).unwrap();
     let alone = hovering_ground(&background, &vehicles, Vec::new(), 0.0).unwrap();
     assert_eq!(both.by_vehicles.as_ref().map(|tilt| tilt.angles[0]), Some(alone.pitch));
-    assert!(both.tilt_std <= stated.tilt_std && both.num_vehicles > 3 && both.contradictions.is_empty());
+    assert!(both.tilt_std <= by_pitch.tilt_std && both.num_vehicles > 3 && both.contradictions.is_empty());
     let wrong = hovering_ground(&background, &vehicles, pitch(1.2), 0.0).unwrap();
     assert!(wrong.contradictions[0].deviations > 3.0 && wrong.contradictions[0].angle > 0.3, "{wrong:?}");
     let planes = both.planes(&background, &background);

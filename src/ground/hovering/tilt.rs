@@ -1,4 +1,4 @@
-//! The tilt of the ground by any of its sources, and sources that contradict the others.
+//! Tilt of the ground by any subset of its sources, and contradictions between sources.
 
 use std::collections::BTreeMap;
 
@@ -9,46 +9,48 @@ use super::vehicle_sizes::{Problem, observed_vehicles};
 use crate::camera::MAX_TILT_STD;
 use crate::scene::{FrameId, Reconstruction, Rect};
 
-/// The ground's tilt against the camera of the first frame by another source than vehicles.
+/// Estimate of the ground's tilt relative to the camera of the first frame, by a source other than vehicles.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub struct StatedTilt {
-    /// Its name, for people.
+pub struct TiltEstimate {
+    /// Display name of the source.
     pub source: String,
     /// Inclination of the camera's axis below the horizon, and of the horizon to the right, radians.
     pub angles: [f64; 2],
-    /// Their standard deviations; `None` where nothing is stated.
+    /// Standard deviations of the angles; `None` for an angle that is not given.
     pub std: [Option<f64>; 2],
-    /// Of what it is the tilt.
+    /// Plane or direction whose tilt it is.
     pub kind: TiltKind,
 }
 
-/// Of what a source states the tilt.
+/// Plane or direction whose tilt a source gives.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum TiltKind {
     /// The ground.
     Ground,
-    /// The vertical, by a sensor or by buildings: then a level horizon is no further evidence.
+    /// The vertical, by a sensor or by buildings; the prior of a level horizon is then omitted.
     Vertical,
-    /// The plane of a map in whose frame positions are. It is the ground as it is: rays meet it where a homography to
-    /// the map would put them, whatever its error, and would not meet a better plane there.
+    /// The plane of a map that defines the frame of positions.
+    ///
+    /// It is used without fusion: rays intersect it where a homography to the map projects them, whatever its error. A
+    /// more accurate plane would not give these positions.
     Map {
-        /// Points of the ground with heights, in the background's frame, which it follows; none for a plane.
+        /// Ground points with heights, in the background's frame; empty for a plane.
         relief_in_world: Vec<Point3<f64>>,
     },
 }
 
-/// A source of the normal against all others.
+/// Contradiction between one source of the normal and all others.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TiltContradiction {
     /// Name of the source.
     pub source: String,
     /// Angle between the normals, radians.
     pub angle: f64,
-    /// The same in standard deviations of both.
+    /// The same, in standard deviations of both together.
     pub deviations: f64,
 }
 
-impl StatedTilt {
+impl TiltEstimate {
     /// Tilt of a vertical or normal in the camera's frame, with its covariance.
     pub fn of_up(source: &str, up_in_cam: &Vector3<f64>, covariance: &Matrix3<f64>) -> Self {
         let [x, y, z] = [up_in_cam.x.clamp(-1.0, 1.0), up_in_cam.y, up_in_cam.z];
@@ -58,61 +60,64 @@ impl StatedTilt {
         Self { source: source.to_owned(), angles: [(-z).atan2(-y), x.asin()], std, kind: TiltKind::Ground }
     }
 
-    /// The angles and their covariance, if both are stated.
+    /// The angles and their covariance, if both are given.
     pub(super) fn known_angles(&self) -> Option<(Vector2<f64>, Matrix2<f64>)> {
         let variances = Vector2::new(self.std[0]?.powi(2), self.std[1]?.powi(2));
         Some((Vector2::from(self.angles), Matrix2::from_diagonal(&variances)))
     }
 
-    /// Differences of angles from the stated ones with their standard deviations.
+    /// Residuals of the given angles: axis, difference, standard deviation.
     pub(super) fn differences(&self, angles: Vector2<f64>) -> impl Iterator<Item = (usize, f64, f64)> {
         (0..2).filter_map(move |k| Some((k, angles[k] - self.angles[k], self.std[k]?)))
     }
 }
 
-/// Inclination and tilt that explain vehicles and sources.
+/// Inclination and tilt estimated from vehicles and sources.
 pub(super) struct Tilt {
     pub(super) angles: Vector2<f64>,
     pub(super) covariance: Matrix2<f64>,
-    /// Change by one standard deviation of the focal length.
+    /// Change of the angles by one standard deviation of the focal length.
     pub(super) by_focal: Vector2<f64>,
 }
 
 impl Tilt {
-    /// Standard deviations, with that of the focal length.
+    /// Standard deviations, with the share of the focal length.
     fn std(&self) -> [f64; 2] {
         [0, 1].map(|axis| self.covariance[(axis, axis)].sqrt().hypot(self.by_focal[axis]))
     }
 }
 
-/// A source against all others.
+/// Difference between one source and all others.
 pub(super) struct Difference {
     source: String,
-    /// Of each stated angle: from the one by the others, and in standard deviations of both.
+    /// For each given angle: the difference, and the same in standard deviations of both together.
     angles: Vec<(f64, f64)>,
 }
 
 impl Difference {
     pub(super) fn contradiction(&self) -> Option<TiltContradiction> {
         let deviations = self.angles.iter().map(|(_, deviations)| deviations.abs()).fold(0.0, f64::max);
-        let angle = self.angles.iter().map(|(off, _)| *off).fold(0.0, f64::hypot);
+        let angle = self.angles.iter().map(|(difference, _)| *difference).fold(0.0, f64::hypot);
         let source = self.source.clone();
-        // As for sources of scale.
+        // The same limit as for sources of scale.
         (deviations > 3.0).then_some(TiltContradiction { source, angle, deviations })
     }
 }
 
-/// Factor by which sources that disagree know less than they state (Birge's ratio), at least 1.
-pub(super) fn disagreement(differences: &[Difference]) -> f64 {
-    let squares: Vec<f64> = differences.iter().flat_map(|one| &one.angles).map(|(_, off)| off * off).collect();
+/// Birge's ratio, at least 1: the factor on the standard deviation where sources disagree.
+pub(super) fn birge_ratio(differences: &[Difference]) -> f64 {
+    let squares: Vec<f64> =
+        differences.iter().flat_map(|one| &one.angles).map(|(_, difference)| difference * difference).collect();
     (squares.iter().sum::<f64>() / squares.len().max(1) as f64).sqrt().max(1.0)
 }
 
-/// Finds the tilt by any of the sources. The focal length is not adjusted: its share is what the angles would be with
-/// another one.
+/// Estimates the tilt from any subset of the sources.
+///
+/// The focal length is not adjusted; its share of the uncertainty is the change of the angles with another focal
+/// length.
 pub(super) struct TiltSolver {
     pub(super) problem: Problem,
-    /// With a focal length one standard deviation shorter and longer; `None` where it is known.
+    /// Problems with a focal length one standard deviation shorter and longer; `None` where it is known exactly.
     zoomed: Option<[Problem; 2]>,
 }
 
@@ -127,15 +132,15 @@ impl TiltSolver {
             let vehicles = observed_vehicles(background, vehicles, log_focal.exp());
             Problem { vehicles, world_from_cam, noise }
         };
-        let noise = problem(0.0, 1.0).actual_noise();
+        let noise = problem(0.0, 1.0).noise_factor();
         let zoomed = (focal_std > 0.0).then(|| [-focal_std, focal_std].map(|by| problem(by, noise)));
         Some(Self { problem: problem(0.0, noise), zoomed })
     }
 
-    /// `None` where vehicles and sources do not determine it.
-    pub(super) fn tilt(&self, stated: &[&StatedTilt]) -> Option<Tilt> {
-        let (angles, covariance) = self.problem.minimum(stated, None)?;
-        let angles_of = |problem: &Problem| Some(problem.minimum(stated, Some(angles))?.0);
+    /// Tilt by vehicles and the given sources; `None` where they do not determine it.
+    pub(super) fn tilt(&self, estimates: &[&TiltEstimate]) -> Option<Tilt> {
+        let (angles, covariance) = self.problem.minimum(estimates, None)?;
+        let angles_of = |problem: &Problem| Some(problem.minimum(estimates, Some(angles))?.0);
         let by_focal = match &self.zoomed {
             Some([shorter, longer]) => 0.5 * (angles_of(longer)? - angles_of(shorter)?),
             None => Vector2::zeros(),
@@ -143,23 +148,24 @@ impl TiltSolver {
         Some(Tilt { angles, covariance, by_focal })
     }
 
-    /// The tilt by the sizes of vehicles alone.
-    pub(super) fn by_vehicles(&self) -> Option<StatedTilt> {
+    /// Tilt by the sizes of vehicles alone.
+    pub(super) fn by_vehicles(&self) -> Option<TiltEstimate> {
         let tilt = self.tilt(&[]).filter(|_| !self.problem.vehicles.is_empty())?;
         let ([inclination, to_side], source) = (tilt.std(), "sizes of vehicles".to_owned());
         let std = [Some(inclination), Some(to_side)];
-        let stated = StatedTilt { source, angles: tilt.angles.into(), std, kind: TiltKind::Ground };
-        (inclination.hypot(to_side) <= MAX_TILT_STD).then_some(stated)
+        let estimate = TiltEstimate { source, angles: tilt.angles.into(), std, kind: TiltKind::Ground };
+        (inclination.hypot(to_side) <= MAX_TILT_STD).then_some(estimate)
     }
 
-    /// Each source against all others, as far as these determine the tilt.
-    pub(super) fn differences(&self, all: &[&StatedTilt]) -> Vec<Difference> {
+    /// Differences between each source and all others, where these determine the tilt.
+    pub(super) fn differences(&self, all: &[&TiltEstimate]) -> Vec<Difference> {
         let against_others = |k: usize| {
-            let others: Vec<&StatedTilt> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
+            let others: Vec<&TiltEstimate> = all[..k].iter().chain(&all[k + 1..]).copied().collect();
             let tilt = self.tilt(&others)?;
             let others_std = tilt.std();
-            let off = |(axis, off, std): (usize, f64, f64)| (off, off / std.hypot(others_std[axis]));
-            let angles = all[k].differences(tilt.angles).map(off).collect();
+            let normalized =
+                |(axis, difference, std): (usize, f64, f64)| (difference, difference / std.hypot(others_std[axis]));
+            let angles = all[k].differences(tilt.angles).map(normalized).collect();
             Some(Difference { source: all[k].source.clone(), angles })
         };
         (0..all.len()).filter_map(against_others).collect()

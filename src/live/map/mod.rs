@@ -176,7 +176,7 @@ impl Ground {
         let contact = &options.scale.joint.contact;
         GroundChain {
             background: model,
-            labelled: &[],
+            labeled: &[],
             dominant: self.dominant.as_ref(),
             mount: self.mount.as_ref(),
             hovering: self.hovering.as_ref(),

@@ -112,7 +112,7 @@ pub(super) fn model(
     let met = |feature: &Feature| {
         let pose = (*poses.get(feature.view as usize)?)?;
         let ray = pose.rotation.inverse() * camera.ray_from_pixel(table.pixel(*feature));
-        ground.meets(pose.center(), &ray)
+        ground.intersect(pose.center(), &ray)
     };
     for (id, track) in (1..).map(Point3dId).zip(&table.tracks) {
         let Some(position) = track.iter().find_map(known).or_else(|| mean(track.iter().filter_map(met))) else {

@@ -1,20 +1,20 @@
 //! Changes of the focal length in a video: a zoom, a switch of lenses, a crop by an editor.
 //!
-//! A map has one focal length for all frames of a video. Where that of the video changes, the map takes it for motion
-//! along the line of sight, at residuals that are hardly larger. The two differ: motion moves near points by more than
-//! far ones, a zoom moves all alike. So the map is adjusted again, with a focal length for every view,
+//! A map has one focal length for all frames of a video. A change of that of the video is absorbed by motion along the
+//! line of sight, at residuals that are hardly larger. The two differ: motion displaces near points by more than far
+//! ones, a zoom displaces all alike. So the map is adjusted again, with a focal length for every view,
 //!
 //! ```text
 //! f_t = f exp(g_t),
 //! ```
 //!
-//! and g_t − g_0 is compared with its standard deviation. That is small also where the motion does not determine f
-//! itself, as forward motion does not: the views see common points. On one plane seen from above a zoom is the same as
-//! a change of height, and the standard deviation is large.
+//! and g_t − g_0 is compared with its standard deviation. That is small even where the motion does not determine f
+//! itself, as in forward motion: the views observe common points. On one plane viewed from above a zoom equals a change
+//! of height, and the standard deviation is large.
 //!
-//! Errors that all views have in common, of distortion and of points that slide with the view, accumulate from view to
-//! view. They are covered by [`COMMON_ERROR_FACTOR`], and by a jackknife: the points of the left and of the right half
-//! of the image must show the change each by themselves.
+//! Errors that all views have in common, of distortion and of points that drift with the view, accumulate from view to
+//! view. They are covered by [`COMMON_ERROR_FACTOR`], and by a jackknife: the points of the left half and those of the
+//! right half of the image must each show the change.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
@@ -32,25 +32,24 @@ use crate::scene::{FocalChange, Image, ImageId, Point3dId, Reconstruction, Track
 
 /// Minimum change of ln f that counts: twice the largest on 13 clips without a zoom (5 %, a high drone over a nearly
 /// planar scene). Stabilization and focus breathing change the focal length by 1 to 3 %.
-const LEAST_CHANGE: f64 = 0.1;
-/// Standard deviations of a change that is significant.
+const MIN_CHANGE: f64 = 0.1;
+/// Number of standard deviations of a significant change.
 const SIGNIFICANT: f64 = 3.0;
-/// Views that are adjusted at once, so that the cost per view does not depend on the length of the video; a change
-/// within half as many views lies within one window.
+/// Number of views that are adjusted at once, so that the cost per view does not depend on the length of the video; a
+/// change within half as many views is within one window.
 const WINDOW: usize = 400;
-/// Views with fewer selected points take no part.
-const LEAST_POINTS: usize = 20;
-/// The same for one half of the image: ten equations for the seven unknowns of a view.
-const LEAST_HALF: usize = 5;
-/// Fewer views show no change.
-const LEAST_VIEWS: usize = 8;
-/// Views of the running median: single ones that are blurred or hidden do not count.
+/// Minimum number of selected points of a view.
+const MIN_POINTS: usize = 20;
+/// Minimum number of points of a view in one half of the image: ten equations for its seven unknowns.
+const MIN_HALF_POINTS: usize = 5;
+/// Minimum number of views.
+const MIN_VIEWS: usize = 8;
+/// Number of views of the running median: single blurred or occluded views do not count.
 const MEDIAN_VIEWS: usize = 5;
 
-/// The changes of the focal length in a video's map with one camera; none in a map of several cameras.
+/// Detects changes of the focal length in a video's map with one camera; none in a map of several cameras.
 ///
-/// * `principal` – the principal point before the adjustment: that of the map is not trusted, since it absorbs a part
-///   of a zoom.
+/// * `principal` – the principal point before the adjustment: that of the map absorbs a part of a zoom.
 pub fn focal_changes(model: &Reconstruction, principal: [f64; 2]) -> Vec<FocalChange> {
     let Some((id, camera)) = model.cameras.first_key_value().filter(|_| model.cameras.len() == 1) else {
         return Vec::new();
@@ -63,11 +62,11 @@ pub fn focal_changes(model: &Reconstruction, principal: [f64; 2]) -> Vec<FocalCh
     let mut changes: Vec<FocalChange> = Vec::new();
     for window in windows(images.len()) {
         let found = Window::new(model, [*camera, trusted], &images[window]).change().unwrap_or_else(|error| {
-            // What leaves the focal lengths undetermined shows no change.
+            // Undetermined focal lengths show no change.
             tracing::debug!("focal length of every view: {error}");
             None
         });
-        // The same change may lie in two windows.
+        // The same change may be in two windows.
         changes.extend(found.filter(|change| changes.last().is_none_or(|last| change.first >= last.last)));
     }
     changes
@@ -79,7 +78,7 @@ fn windows(num_views: usize) -> Vec<Range<usize>> {
     starts.map(|start| start..num_views.min(start + WINDOW)).collect()
 }
 
-/// Which points take part.
+/// Points that take part.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Part {
     All,
@@ -107,7 +106,7 @@ pub(super) fn longest_tracks<'a>(
         let mut cells: BTreeMap<usize, Vec<(bool, usize, Point3dId)>> = BTreeMap::new();
         for (seen, id) in image.observations.iter().filter_map(|seen| Some((seen, seen.point?))) {
             let Some(length) = model.points.get(&id).map(|point| point.track.len()) else { continue };
-            // Two views show a point at any depth and focal length.
+            // Two views fit a point at any depth and focal length.
             if length >= 3 {
                 let cell = cells.entry(cell_of(seen.pixel, camera)).or_default();
                 cell.push((!points.contains(&id), usize::MAX - length, id));
@@ -121,9 +120,9 @@ pub(super) fn longest_tracks<'a>(
     points
 }
 
-/// The problem of some images of the first camera and of the points that at least two of them observe, without cameras.
+/// Problem of some images of the first camera and the points that at least two of them observe, without cameras.
 ///
-/// * `takes_part` – of a point, by the images that observe it, as indices, and the pixels there.
+/// * `takes_part` – filter of points by their observations, each with the index of its image and the pixel.
 pub(super) fn problem_of(
     model: &Reconstruction,
     images: &[(ImageId, &Image)],
@@ -150,7 +149,7 @@ pub(super) fn problem_of(
     problem
 }
 
-/// ln f of every view, its standard deviation relative to that of the first view, and the points that it sees.
+/// ln f of every view, its standard deviation relative to that of the first view, and its number of points.
 struct FocalLengths {
     log: Vec<f64>,
     std: Vec<f64>,
@@ -165,18 +164,18 @@ impl<'a> Window<'a> {
         let Self { views, points, .. } = &mut window;
         let num_selected =
             |image: &Image| image.observations.iter().filter(|o| o.point.is_some_and(|p| points.contains(&p))).count();
-        views.retain(|(_, image)| num_selected(image) >= LEAST_POINTS);
+        views.retain(|(_, image)| num_selected(image) >= MIN_POINTS);
         window
     }
 
     fn change(&self) -> Result<Option<FocalChange>, BundleError> {
-        if self.views.len() < LEAST_VIEWS {
+        if self.views.len() < MIN_VIEWS {
             return Ok(None);
         }
         let whole = self.focal_lengths(Part::All)?;
         let change = whole.relative_to_first();
         let common = |t: usize| COMMON_ERROR_FACTOR * whole.std[t];
-        let is_significant = |t: usize, std: f64| change[t].abs() > LEAST_CHANGE.max(SIGNIFICANT * std);
+        let is_significant = |t: usize, std: f64| change[t].abs() > MIN_CHANGE.max(SIGNIFICANT * std);
         // A focal length that is not positive has no logarithm.
         let is_determined = change.iter().all(|log| log.is_finite());
         if !is_determined || !(0..change.len()).any(|t| is_significant(t, common(t))) {
@@ -184,7 +183,7 @@ impl<'a> Window<'a> {
         }
         let [left, right] = [self.focal_lengths(Part::Left)?, self.focal_lengths(Part::Right)?];
         let is_seen =
-            |t: usize| [&left, &right].iter().all(|half| half.num_points[0].min(half.num_points[t]) >= LEAST_HALF);
+            |t: usize| [&left, &right].iter().all(|half| half.num_points[0].min(half.num_points[t]) >= MIN_HALF_POINTS);
         let (by_left, by_right) = (left.relative_to_first(), right.relative_to_first());
         let halves = |t: usize| {
             let off = 0.5 * (by_left[t] - by_right[t]).abs();
@@ -228,7 +227,7 @@ impl<'a> Window<'a> {
     fn problem(&self, part: Part) -> Problem {
         let free = [true, true, false, false, false, false];
         let block = CameraBlock { camera: self.camera, free, tie_focal: true };
-        // With another principal point than the map's, a view that is turned sees nearly the same.
+        // With a principal point other than the map's, a rotated view observes nearly the same.
         let middle = Camera::prior(self.camera.width, self.camera.height).principal.into();
         let [old, new] = [&self.map_camera, &self.camera].map(|camera| camera.ray_from_pixel(middle));
         let turn = UnitQuaternion::rotation_between(&old, &new).unwrap_or_default();
@@ -262,7 +261,7 @@ impl FocalLengths {
 
 /// Robust standard deviation of a pixel coordinate: the median residual as that of a Gaussian.
 pub(super) fn noise(problem: &Problem) -> f64 {
-    // Less is rounding.
+    // Minimum noise, pixels: less is rounding.
     const LEAST_PX: f64 = 1e-3;
     let median = upper_median(problem.errors_px().collect());
     median.map_or(LEAST_PX, |median| (median / RAYLEIGH_MEDIAN).max(LEAST_PX))
@@ -275,8 +274,10 @@ pub(super) fn options(sigma_px: f64) -> bundle::Options {
     bundle::Options { loss, function_tolerance: 1e-7, max_iterations: 100, ..bundle::Options::default() }
 }
 
-/// Holds a focal length near that of the map where the observations leave it open: from 0.45 to 2.2 times as long
-/// within two standard deviations, which no zoom lens of a phone, a drone or a dash camera exceeds within a clip.
+/// Prior that keeps a focal length near that of the map where the observations leave it undetermined.
+///
+/// Two standard deviations are from 0.45 to 2.2 times the focal length, which no zoom lens of a phone, a drone or a
+/// dash camera exceeds within a clip.
 fn prior(camera: usize, intrinsics: &Camera, sigma_px: f64) -> IntrinsicsPrior {
     let mut sigma = [f64::INFINITY; 6];
     for (sigma, focal) in sigma.iter_mut().zip(intrinsics.focal) {
@@ -286,24 +287,25 @@ fn prior(camera: usize, intrinsics: &Camera, sigma_px: f64) -> IntrinsicsPrior {
     IntrinsicsPrior { camera, values: intrinsics.intrinsics(), sigma }
 }
 
-/// Where a series changes, and by how much.
+/// Interval in which a series changes, and the size of the change.
 ///
 /// With forward motion a steady zoom and a steady change of speed differ little, so that a series may drift from its
-/// beginning to its end: where it changes within a much shorter time but for a drift, that is the change.
+/// beginning to its end. A change within a much shorter time after removal of the drift takes precedence.
 fn span(change: &[f64]) -> ([usize; 2], f64) {
     let rate = upper_median(change.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or_default();
     let without_drift: Vec<f64> = (0..).zip(change).map(|(t, log)| log - rate * f64::from(t)).collect();
     let (whole, part) = (between_levels(change), between_levels(&without_drift));
     let length = |([first, last], _): ([usize; 2], f64)| last - first;
-    if part.1.abs() > LEAST_CHANGE && 2 * length(part) < length(whole) { part } else { whole }
+    if part.1.abs() > MIN_CHANGE && 2 * length(part) < length(whole) { part } else { whole }
 }
 
-/// From the last view at the first level of a series to the first one from which it stays at the last level, and the
-/// largest change on the way.
+/// Interval from the last view at the first level of a series to the first view that stays at the last level.
+///
+/// Also returns the largest change within it.
 fn between_levels(change: &[f64]) -> ([usize; 2], f64) {
     let largest = change.iter().copied().max_by(|a, b| a.abs().total_cmp(&b.abs())).unwrap_or_default();
     // Levels drift by a part of the change.
-    let tolerance = (0.25 * LEAST_CHANGE).max(0.1 * largest.abs());
+    let tolerance = (0.25 * MIN_CHANGE).max(0.1 * largest.abs());
     let end = change.len() - 1;
     let last_level = change[end];
     let first = change.iter().position(|c| c.abs() > tolerance).map_or(0, |left| left.saturating_sub(1));

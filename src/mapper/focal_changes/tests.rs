@@ -121,7 +121,7 @@ fn a_step_and_a_slow_zoom_are_found() {
 
 #[test]
 fn a_fixed_focal_length_changes_nowhere() {
-    // A lens that is distorted, or whose principal point is off, is not one that zooms.
+    // A distorted lens, or an offset of the principal point, is not a zoom.
     let distorted = Camera { radial: [-0.02, 0.0], ..lens() };
     let off_center = Camera { principal: [324.0, 177.0], ..lens() };
     for motion in [Motion::Forward, Motion::Sideways, Motion::Climb] {
@@ -135,7 +135,7 @@ fn a_fixed_focal_length_changes_nowhere() {
 }
 
 #[test]
-fn little_shows_no_change() {
+fn an_empty_map_has_no_change() {
     assert!(focal_changes(&Reconstruction::default(), lens().principal).is_empty());
     let mut model = Reconstruction::default();
     model.cameras.insert(CameraId(1), lens());

@@ -1,4 +1,4 @@
-//! Growing a map from its first pair.
+//! Incremental registration of views, from an initial pair or from pose priors.
 
 use std::ops::Range;
 
@@ -9,7 +9,7 @@ mod new_camera;
 mod pose_outliers;
 mod pose_priors;
 
-use super::adjustment::{self, Freedom, Scope, Stretch};
+use super::adjustment::{self, Freedom, Scope, Segment};
 use super::initial_pair::InitialPair;
 use super::map::{Map, Slot};
 use super::motion::{self, ModelWeakness};
@@ -20,11 +20,11 @@ use crate::math::{Rigid3, seeded_rng};
 pub use pose_priors::PosePriors;
 
 /// Relative standard deviation of a focal length beyond which it counts as poorly determined.
-const LOOSE: f64 = 0.01;
-/// Growth of the number of views that triggers a global bundle adjustment.
+const MAX_FOCAL_STD: f64 = 0.01;
+/// Relative growth of the number of views that triggers a global bundle adjustment.
 const GLOBAL_GROWTH: f64 = 1.3;
 
-/// A map, what has been tried on it, and how to go on.
+/// Map in progress and the state of its registration.
 #[derive(Clone)]
 pub struct IncrementalMapper<'a> {
     map: Map<'a>,
@@ -33,69 +33,69 @@ pub struct IncrementalMapper<'a> {
     noise: Noise,
     /// Parameters that global adjustments change.
     freedom: Freedom,
-    /// True once the motion has decided that.
-    lens_decided: bool,
-    /// By view: why the last attempt at it failed.
+    /// True once the free intrinsics are chosen by the motion.
+    intrinsics_chosen: bool,
+    /// Reason for which the last attempt to register a view failed, by view.
     failed: Vec<Option<Reason>>,
-    /// By camera: standard deviation of ln f, where it is not held and was asked for.
+    /// Standard deviation of ln f by camera, where it was estimated.
     focal_deviations: Vec<Option<f64>>,
-    /// True if the view graph removed views since the last global adjustment.
-    reviewed: bool,
-    /// Registered views at the last global adjustment.
+    /// True if final adjustments have unregistered views.
+    has_unregistered: bool,
+    /// Number of registered views at the last global adjustment.
     adjusted_at: usize,
-    /// From the first to the last of them.
+    /// Range of these views.
     adjusted_views: Range<usize>,
-    /// Points that were rejected after the last adjustments since they lay behind a camera or at infinity.
+    /// Number of points that were rejected after the last adjustments, behind a camera or at infinity.
     num_infinite: usize,
 }
 
 impl<'a> IncrementalMapper<'a> {
-    /// An empty map.
+    /// Mapper of a map without registered views.
     pub fn new(mut map: Map<'a>, options: &'a Options, seed: u64) -> Self {
-        map.look_for_places_that_come_back(options.max_track_views);
+        map.detect_loop_closures(options.max_track_views);
         Self {
-            freedom: Freedom::at_first(&map),
+            freedom: Freedom::initial(&map),
             focal_deviations: vec![None; map.cameras.len()],
             failed: vec![None; map.poses.len()],
             map,
             options,
             seed,
             noise: None,
-            lens_decided: false,
-            reviewed: false,
+            intrinsics_chosen: false,
+            has_unregistered: false,
             adjusted_at: 0,
             adjusted_views: 0..0,
             num_infinite: 0,
         }
     }
 
-    /// Starts from a pair; `false` when its points do not hold after adjustment.
-    pub fn start(&mut self, pair: &InitialPair) -> Result<bool, MapperError> {
+    /// Initializes the map from a pair; returns false if too few points remain after adjustment.
+    pub fn initialize(&mut self, pair: &InitialPair) -> Result<bool, MapperError> {
         self.map.poses[pair.views[0]] = Some(Rigid3::identity());
         self.map.poses[pair.views[1]] = Some(pair.cam2_from_cam1);
         let limits = self.limits();
-        self.map.triangulate_seen_by(pair.views[0], &limits);
-        // Two views do not determine intrinsics: they stay as they are here.
+        self.map.triangulate_features_of(pair.views[0], &limits);
+        // Two views do not determine intrinsics: they are fixed here.
         self.adjust(&Scope::Everything, Freedom::Nothing)?;
         self.map.update_observations(&limits);
         self.adjusted_at = 2;
-        // Half of what the pair promised: the rest was outliers or has no angle.
+        // Half of the required inliers: the others were outliers or have no angle.
         Ok(self.map.num_points() >= self.options.min_initial_inliers / 2)
     }
 
-    /// Adds views until none fits any more; `watch` is called with their number.
+    /// Registers views until none succeeds any more; `watch` receives their number.
     pub fn grow(&mut self, watch: &mut dyn FnMut(usize)) -> Result<(), MapperError> {
         loop {
             while let Some(view) = self.next_view() {
                 if self.register(view) {
-                    self.settle(view)?;
+                    self.update_after(view)?;
                     watch(self.map.num_registered());
                 }
             }
-            // Everything that can be seen was tried: a global adjustment may open new points, then again.
+            // All views with enough points were tried: a global adjustment may add points for another round.
             let before = self.map.num_registered();
             if before > self.adjusted_at {
-                self.adjust_grown()?;
+                self.adjust_growth()?;
             }
             if self.map.num_registered() == before && self.next_view().is_none() {
                 return Ok(());
@@ -119,7 +119,7 @@ impl<'a> IncrementalMapper<'a> {
         &self.map
     }
 
-    /// The map and what became of every view.
+    /// The map and the report on every view.
     pub fn into_result(self) -> (Map<'a>, Report) {
         let failure = |view: usize| self.map.poses[view].is_none().then(|| self.reason(view));
         let views = Report::of_views(&self.map.table.views, failure);
@@ -135,17 +135,17 @@ impl<'a> IncrementalMapper<'a> {
         (self.map, report)
     }
 
-    /// A word where the focal length is not known to a percent.
+    /// Remark if the focal length is not known to a percent.
     fn focal_remark(&self) -> Option<ModelWeakness> {
-        let deviation =
-            self.focal_deviations[focal_length::leading_camera(&self.map)?].filter(|found| *found > LOOSE)?;
-        Some(ModelWeakness::LooseFocalLength { percent: 100.0 * deviation })
+        let std =
+            self.focal_deviations[focal_length::leading_camera(&self.map)?].filter(|found| *found > MAX_FOCAL_STD)?;
+        Some(ModelWeakness::LooseFocalLength { percent: 100.0 * std })
     }
 
     fn adjust(&mut self, scope: &Scope, intrinsics: Freedom) -> Result<Vec<bool>, MapperError> {
-        if self.is_long() && !matches!(scope, Scope::Around(_)) {
+        if self.is_long() && !matches!(scope, Scope::Local(_)) {
             if intrinsics != Freedom::Nothing {
-                windows::refine_lens(&mut self.map, intrinsics, self.noise, self.options)?;
+                windows::refine_intrinsics(&mut self.map, intrinsics, self.noise, self.options)?;
             }
             return windows::sweep(&mut self.map, scope, self.noise, self.options);
         }
@@ -160,7 +160,7 @@ impl<'a> IncrementalMapper<'a> {
         self.options.limits(self.noise)
     }
 
-    /// The unregistered view that sees most known points; one that failed comes back when it sees a fifth more.
+    /// Unregistered view with the most known points; a failed view is tried again once it has a fifth more.
     fn next_view(&self) -> Option<usize> {
         let ready = |&view: &usize| {
             let (_, visible) = self.map.visibility(view);
@@ -176,18 +176,20 @@ impl<'a> IncrementalMapper<'a> {
     }
 
     fn register(&mut self, view: usize) -> bool {
-        if self.num_views_of_loose_camera(view) == Some(0) {
+        if self.num_views_of_uncertain_camera(view) == Some(0) {
             return self.register_with_focal(view);
         }
         let visible = self.map.visible(view);
-        let neighbour = self.nearest_registered(view);
-        let from_neighbour = neighbour.and_then(|pose| self.resect(view, &visible, Some(pose)));
+        let neighbor = self.nearest_registered(view);
+        let from_neighbor = neighbor.and_then(|pose| self.resect(view, &visible, Some(pose)));
         let found =
-            from_neighbour.filter(|r| self.is_enough(r, visible.len())).or_else(|| self.resect(view, &visible, None));
+            from_neighbor.filter(|r| self.is_enough(r, visible.len())).or_else(|| self.resect(view, &visible, None));
         self.accept(view, &visible, found)
     }
 
-    /// Pose of a view from some of its features with known points: near `start`, otherwise from samples of them.
+    /// Estimates the pose of a view from some of its features with known points.
+    ///
+    /// It starts near `start`, otherwise from random samples.
     fn resect(&self, view: usize, slots: &[Slot], start: Option<Rigid3>) -> Option<Resection> {
         let (pixels, points) = self.map.pixels_and_points(slots);
         let data = PixelsAndPoints { camera: self.map.camera_of(view), pixels: &pixels, points: &points };
@@ -212,7 +214,7 @@ impl<'a> IncrementalMapper<'a> {
         }
     }
 
-    /// Registers a view, with the features that agree with its pose as observations.
+    /// Registers a view, with the inliers of its pose as observations.
     fn set_pose(&mut self, view: usize, found: &Resection, slots: &[Slot]) {
         self.map.poses[view] = Some(found.cam_from_world);
         self.map.activate(found.inliers.iter().map(|&i| slots[i]));
@@ -225,24 +227,24 @@ impl<'a> IncrementalMapper<'a> {
             && inliers as f64 >= self.options.min_inlier_ratio * num_visible as f64
     }
 
-    /// The pose of the view next in time, if that one is registered.
+    /// Pose of the previous or next view, if it is registered.
     fn nearest_registered(&self, view: usize) -> Option<Rigid3> {
         if !self.options.ordered {
             return None;
         }
-        let neighbour = |v: Option<usize>| v.and_then(|v| self.map.poses.get(v).copied().flatten());
-        neighbour(view.checked_sub(1)).or_else(|| neighbour(Some(view + 1)))
+        let neighbor = |v: Option<usize>| v.and_then(|v| self.map.poses.get(v).copied().flatten());
+        neighbor(view.checked_sub(1)).or_else(|| neighbor(Some(view + 1)))
     }
 
-    /// After a view was added: new points, a local adjustment, and a global one when the map has grown enough.
-    fn settle(&mut self, view: usize) -> Result<(), MapperError> {
+    /// Updates the map after a registration: new points, and a local or, after enough growth, a global adjustment.
+    fn update_after(&mut self, view: usize) -> Result<(), MapperError> {
         let limits = self.limits();
-        self.map.triangulate_seen_by(view, &limits);
-        let is_first_of_camera = || self.map.cameras.len() > 1 && self.num_views_of_loose_camera(view) == Some(1);
+        self.map.triangulate_features_of(view, &limits);
+        let is_first_of_camera = || self.map.cameras.len() > 1 && self.num_views_of_uncertain_camera(view) == Some(1);
         if self.has_grown() || is_first_of_camera() {
-            return self.adjust_grown();
+            return self.adjust_growth();
         }
-        self.adjust(&Scope::Around(view), Freedom::Nothing)?;
+        self.adjust(&Scope::Local(view), Freedom::Nothing)?;
         Ok(())
     }
 
@@ -251,18 +253,18 @@ impl<'a> IncrementalMapper<'a> {
         now as f64 >= GLOBAL_GROWTH * before as f64 || (now >= before + windows::STEP && self.is_long())
     }
 
-    /// Adjusts everything; of a long map, what it has grown by.
-    fn adjust_grown(&mut self) -> Result<(), MapperError> {
+    /// Adjusts the whole map; of a long map, the views by which it has grown.
+    fn adjust_growth(&mut self) -> Result<(), MapperError> {
         if !self.is_long() || self.adjusted_views.is_empty() {
             return self.adjust_globally();
         }
         let limits = self.limits();
         for views in windows::ends(&self.map, &self.adjusted_views) {
-            // What is next to them is held.
+            // The neighboring views are fixed.
             let scope = Box::new(Scope::Selected);
-            let scope = Scope::Stretch(Stretch { views: views.clone(), counted: 0..usize::MAX, scope });
+            let scope = Scope::Segment(Segment { views: views.clone(), counted: 0..usize::MAX, scope });
             let used = adjustment::adjust(&mut self.map, &scope, Freedom::Nothing, self.noise, self.options)?;
-            self.map.renew(views, &limits, &used);
+            self.map.update_points_of(views, &limits, &used);
         }
         self.note_adjusted();
         Ok(())
@@ -284,7 +286,7 @@ impl<'a> IncrementalMapper<'a> {
         Ok(())
     }
 
-    /// Between the nearest registered views on both sides, by time order; `None` at the ends.
+    /// Pose interpolated between the nearest registered views before and after; `None` at the ends.
     fn interpolated(&self, view: usize) -> Option<Rigid3> {
         // A third of a second at 30 frames per second: beyond, motion is no longer linear.
         const MAX_GAP: usize = 10;
@@ -298,7 +300,7 @@ impl<'a> IncrementalMapper<'a> {
         Some(Rigid3::from_rotation_and_center(rotation, center))
     }
 
-    /// Why a view is not registered.
+    /// Reason that a view is not registered.
     fn reason(&self, view: usize) -> Reason {
         let features = self.map.table.views[view].pixels.len();
         let (in_tracks, visible) = self.map.visibility(view);

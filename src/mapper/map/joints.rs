@@ -1,4 +1,4 @@
-//! Joints: where a track goes on that was lost and found again.
+//! Re-detections: continuations of tracks after gaps.
 
 use std::ops::Range;
 
@@ -7,21 +7,22 @@ use crate::bundle::Whitening;
 use crate::features::tracks::Feature;
 
 impl Map<'_> {
-    /// Makes tracks of their own of what was found again and does not fit what was seen before: of every part of a
-    /// track behind a gap that has two registered views or more, and is an observation of the point in less than half
-    /// of them. Returns how many.
-    pub fn take_joints_apart(&mut self) -> usize {
-        let mut apart: Vec<(usize, Vec<Range<usize>>)> = Vec::new();
+    /// Splits wrong re-detections from their tracks; returns the number of split tracks.
+    ///
+    /// A part of a track between gaps becomes a track of its own if it has two registered views or more, and is an
+    /// observation of the point in less than half of them.
+    pub fn split_wrong_redetections(&mut self) -> usize {
+        let mut split: Vec<(usize, Vec<Range<usize>>)> = Vec::new();
         for track in 0..self.points.len() {
-            let wrong: Vec<_> = self.parts(track).into_iter().filter(|part| !self.is_right(track, part)).collect();
+            let wrong: Vec<_> = self.parts(track).into_iter().filter(|part| !self.is_consistent(track, part)).collect();
             if !wrong.is_empty() {
-                apart.push((track, wrong));
+                split.push((track, wrong));
             }
         }
-        for (track, parts) in &apart {
+        for (track, parts) in &split {
             let features = std::mem::take(&mut self.tracks.to_mut()[*track]);
-            let is_apart = |slot: usize| parts.iter().any(|part| part.contains(&slot));
-            let kept = |slot: &usize| !is_apart(*slot);
+            let is_split = |slot: usize| parts.iter().any(|part| part.contains(&slot));
+            let kept = |slot: &usize| !is_split(*slot);
             let tracks = self.tracks.to_mut();
             tracks[*track] = (0..features.len()).filter(kept).map(|slot| features[slot]).collect();
             tracks.extend(parts.iter().map(|part| features[part.clone()].to_vec()));
@@ -32,10 +33,10 @@ impl Map<'_> {
         self.points.resize(self.tracks.len(), None);
         self.slots_of_view = slots_of_view(self.poses.len(), &self.tracks);
         self.num_visible = (0..self.poses.len()).map(|view| self.visible(view).len()).collect();
-        apart.len()
+        split.len()
     }
 
-    /// The parts of a track between its gaps, as slots; none where it has no gap or no known point.
+    /// Parts of a track between its gaps, as slots; none without a gap or a known point.
     fn parts(&self, track: usize) -> Vec<Range<usize>> {
         let features = &self.tracks[track];
         let gaps = (1..features.len()).filter(|&slot| features[slot].view > features[slot - 1].view + 1);
@@ -46,19 +47,20 @@ impl Map<'_> {
         ends.windows(2).map(|end| end[0]..end[1]).collect()
     }
 
-    fn is_right(&self, track: usize, part: &Range<usize>) -> bool {
+    fn is_consistent(&self, track: usize, part: &Range<usize>) -> bool {
         let Some(point) = &self.points[track] else { return true };
         let registered = part.clone().filter(|&slot| self.pose_at(track, slot).is_some()).count();
         let active = part.clone().filter(|&slot| point.active[slot]).count();
         registered < 2 || 2 * active >= registered
     }
 
-    /// Features of registered views that belong to known points, do not count as observations of them, and lie within
-    /// `max_error_px` of where the points project; only those of tracks that were lost for more than `min_gap` views.
-    pub fn open_joints(&self, max_error_px: f64, min_gap: usize) -> Vec<Slot> {
+    /// Features of points that were lost for more than `min_gap` views, near the projections but not observations.
+    ///
+    /// They are features of registered views within `max_error_px` of the projections of known points.
+    pub fn open_loop_closures(&self, max_error_px: f64, min_gap: usize) -> Vec<Slot> {
         let max_sq = max_error_px * max_error_px;
         let gap = |pair: &[Feature]| (pair[1].view - pair[0].view) as usize;
-        let is_joined = |track: usize| self.tracks[track].windows(2).any(|pair| gap(pair) > min_gap);
+        let has_gap = |track: usize| self.tracks[track].windows(2).any(|pair| gap(pair) > min_gap);
         let open = |track: usize| {
             let point = self.points[track].as_ref()?;
             let fits = |slot: &usize| {
@@ -68,6 +70,6 @@ impl Map<'_> {
             let slots: Vec<usize> = (0..point.active.len()).filter(fits).collect();
             Some(slots.into_iter().map(move |slot| Slot { track: track as u32, slot: slot as u32 }))
         };
-        (0..self.points.len()).filter(|&track| is_joined(track)).filter_map(open).flatten().collect()
+        (0..self.points.len()).filter(|&track| has_gap(track)).filter_map(open).flatten().collect()
     }
 }

@@ -1,15 +1,15 @@
 //! Points that have no finite position or projection.
 //!
-//! Bundle adjustment projects through the center of a camera: the cost of a point that passes a camera, as points near
-//! the line of motion do, stays finite, and its final position may lie behind a camera that observes it. A point whose
-//! rays become parallel moves off to infinity. Neither has a reprojection error that means anything.
+//! Bundle adjustment projects through the center of a camera. The cost of a point that passes a camera, as points near
+//! the line of motion do, stays finite, and its final position may be behind a camera that observes it. A point whose
+//! rays become parallel moves to infinity. Neither has a meaningful reprojection error.
 
 use super::Map;
 use crate::math::{Rigid3, widest_angle};
 
-/// Smallest parallax of a point, radians: less than a thousandth of a pixel at a focal length of 1000 px, so that no
-/// measurement tells it from infinity.
-const LEAST_PARALLAX: f64 = 1e-6;
+/// Minimum parallax of a point, radians: a thousandth of a pixel at a focal length of 1000 px, which no measurement
+/// distinguishes from infinity.
+const MIN_PARALLAX: f64 = 1e-6;
 
 impl Map<'_> {
     /// Rejects points behind a camera that observes them, at infinity, or not finite; returns their number.
@@ -23,6 +23,6 @@ impl Map<'_> {
     fn has_finite_errors(&self, track: usize) -> bool {
         let Some(point) = &self.points[track] else { return false };
         let centers = self.observations(track).filter_map(|(slot, ..)| self.pose_at(track, slot).map(Rigid3::center));
-        self.errors_sq(track).all(f64::is_finite) && widest_angle(point.position, centers) >= LEAST_PARALLAX
+        self.errors_sq(track).all(f64::is_finite) && widest_angle(point.position, centers) >= MIN_PARALLAX
     }
 }

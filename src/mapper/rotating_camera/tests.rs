@@ -11,7 +11,7 @@ pub(in crate::mapper) fn views(sway_m: f64) -> (TrackTable, Camera, Vec<UnitQuat
     views_along(|phase| Vector3::new(phase.sin(), phase.cos(), 0.3 * phase.sin()) * sway_m)
 }
 
-/// The same of a camera with the given path.
+/// Sixty views of a camera with the given trajectory above a plane.
 ///
 /// * `center` – by a tenth of the view's number, meters; the third axis points down.
 pub(crate) fn views_along(center: impl Fn(f64) -> Vector3<f64>) -> (TrackTable, Camera, Vec<UnitQuaternion<f64>>) {
@@ -61,29 +61,30 @@ fn rotations_of_a_hovering_camera_are_found() {
 }
 
 #[test]
-fn views_in_which_vehicles_hide_all_points_are_bridged() {
+fn views_with_occluded_background_are_interpolated() {
     let (mut table, camera, truth) = views(0.0);
-    let hidden = 25..31;
-    // No point is seen before and after; vehicles that pass to both sides are all that is seen meanwhile.
+    let occluded = 25..31;
+    // No point is observed before and after; in between only vehicles that move to both sides are visible.
     let mut tracks = Vec::new();
     for track in std::mem::take(&mut table.tracks) {
-        let (before, after): (Vec<Feature>, Vec<Feature>) = track.into_iter().partition(|seen| seen.view < hidden.end);
-        tracks.push(before.into_iter().filter(|seen| seen.view < hidden.start).collect());
+        let (before, after): (Vec<Feature>, Vec<Feature>) =
+            track.into_iter().partition(|feature| feature.view < occluded.end);
+        tracks.push(before.into_iter().filter(|feature| feature.view < occluded.start).collect());
         tracks.push(after);
     }
     for k in 0..40 {
         let mut of_vehicle = Vec::new();
-        for view in hidden.clone() {
+        for view in occluded.clone() {
             let pixels = &mut table.views[view as usize].pixels;
             of_vehicle.push(Feature { view, feature: pixels.len() as u32 });
-            let way = 40.0 * f64::from(view - 25) * if k % 2 == 0 { 1.0 } else { -1.0 };
-            pixels.push(Point2::new(640.0 + way, f64::from(100 + 12 * k)));
+            let displacement = 40.0 * f64::from(view - 25) * if k % 2 == 0 { 1.0 } else { -1.0 };
+            pixels.push(Point2::new(640.0 + displacement, f64::from(100 + 12 * k)));
         }
         tracks.push(of_vehicle);
     }
     table.tracks = tracks;
     let found = rotating_camera(&table, &camera).unwrap();
-    // How far the camera pans meanwhile, 1.2°, no point shows.
+    // No point shows how far the camera pans in between, 1.2°.
     let worst = worst_deg(&found, &truth);
     assert!(worst < 1.5, "{worst}");
     let turn = |view: usize| found.poses[view].unwrap().rotation;
@@ -92,7 +93,7 @@ fn views_in_which_vehicles_hide_all_points_are_bridged() {
 }
 
 #[test]
-fn a_camera_that_translates_is_none() {
+fn a_translating_camera_is_rejected() {
     let (table, camera, _) = views(8.0);
     assert!(rotating_camera(&table, &camera).is_none());
     assert!(rotating_camera(&TrackTable::default(), &camera).is_none());

@@ -1,4 +1,4 @@
-//! A vehicle so far away that its pictures are nearly parallel projections.
+//! Vehicle so far away that its images are nearly parallel projections.
 
 use super::*;
 use crate::features::tracks::View;
@@ -15,7 +15,7 @@ fn far_options() -> drive::Options {
     }
 }
 
-/// A vehicle of 25 to 30 pixels, seen from 150 m away.
+/// A vehicle of 25 to 30 pixels, at a distance of 150 m.
 fn far(seed: u64) -> Drive {
     drive::drive(&far_options(), seed)
 }
@@ -49,7 +49,7 @@ fn tracks_lasting(world: &Drive, seed: u64, length: u32) -> TrackTable {
 /// The poses in a frame whose z is up, off by some degrees and pixels.
 ///
 /// * `aside_px` – standard deviation of the position in the image that differs from view to view.
-fn rough_poses(world: &Drive, aside_px: f64) -> PosePriors {
+fn inaccurate_poses(world: &Drive, aside_px: f64) -> PosePriors {
     let mut rng = seeded_rng(0, 3);
     let pose = |(k, (id, image)): (usize, (&ImageId, &crate::scene::Image))| {
         let (plane, in_background) = (world.planes.get(&id.frame())?, world.background.images.get(id)?);
@@ -66,8 +66,8 @@ fn rough_poses(world: &Drive, aside_px: f64) -> PosePriors {
     PosePriors { poses: world.object.images.iter().enumerate().map(pose).collect(), error_px: 5.0 + 2.0 * aside_px }
 }
 
-/// Median distance of the cameras' directions from the true ones after the best turn of the whole, degrees.
-fn turned_by(found: &Reconstruction, world: &Drive) -> f64 {
+/// Median angle between the cameras' directions and the true ones after rotational alignment, degrees.
+fn rotation_error_deg(found: &Reconstruction, world: &Drive) -> f64 {
     let (ours, truth): (Vec<_>, Vec<_>) = found
         .images
         .iter()
@@ -85,11 +85,11 @@ fn turned_by(found: &Reconstruction, world: &Drive) -> f64 {
 }
 
 #[test]
-fn rough_poses_take_chance_out_of_a_far_vehicle() {
+fn pose_priors_stabilize_a_far_vehicle() {
     for seed in 0..6 {
         let world = far(seed);
         let table = tracks_lasting(&world, seed, 25);
-        let poses = rough_poses(&world, 0.0);
+        let poses = inaccurate_poses(&world, 0.0);
         let camera = *world.object.cameras.values().next().unwrap();
         let build = |poses| {
             let options = Options::object();
@@ -98,20 +98,21 @@ fn rough_poses_take_chance_out_of_a_far_vehicle() {
                 .0
         };
         let (alone, helped) = (build(None), build(Some(&poses)));
-        let off = [&alone, &helped].map(|model| if model.is_empty() { f64::NAN } else { turned_by(model, &world) });
+        let off =
+            [&alone, &helped].map(|model| if model.is_empty() { f64::NAN } else { rotation_error_deg(model, &world) });
         assert!(helped.images.len() == 60 && off[1] < 3.0, "{seed}: {off:?}");
     }
 }
 
 #[test]
-fn positions_that_differ_from_view_to_view_do_not_turn_the_cameras() {
+fn position_errors_of_pose_priors_do_not_rotate_the_cameras() {
     for seed in 0..6 {
         let (camera_height_m, distance_m) = (30.0, [60.0, 60.0]);
         let options = drive::Options { camera_height_m, distance_m, num_frames: 30, ..far_options() };
         let world = drive::drive(&options, seed);
-        // Short tracks leave it to the poses how far the cameras turn.
+        // Short tracks leave the rotations of the cameras to the poses.
         let table = tracks_lasting(&world, seed, 5);
-        let poses = rough_poses(&world, 16.0);
+        let poses = inaccurate_poses(&world, 16.0);
         let camera = *world.object.cameras.values().next().unwrap();
         let found = reconstruct_watched(
             table,
@@ -122,7 +123,7 @@ fn positions_that_differ_from_view_to_view_do_not_turn_the_cameras() {
             Some(&poses),
             &mut |_| {},
         );
-        let off = turned_by(&found.unwrap().0, &world);
+        let off = rotation_error_deg(&found.unwrap().0, &world);
         assert!(off < 1.2, "{seed}: {off}");
     }
 }

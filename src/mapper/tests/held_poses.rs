@@ -5,7 +5,7 @@ use super::*;
 /// Model of a world whose points move by `step` from view to view.
 fn found(step: f64) -> (Reconstruction, f64, World) {
     let mut world = world(40, 120);
-    // A vehicle that moves by itself is seen as by cameras that move the other way.
+    // A moving vehicle looks as if the cameras moved the other way.
     let known: Vec<Option<Rigid3>> = world.poses.iter().copied().map(Some).collect();
     for (view, pose) in world.poses.iter_mut().enumerate() {
         let moved = pose.center() - Vector3::new(0.0, 0.0, step * view as f64);
@@ -18,7 +18,7 @@ fn found(step: f64) -> (Reconstruction, f64, World) {
 }
 
 #[test]
-fn points_at_rest_are_where_they_are_and_explain_everything() {
+fn stationary_points_are_accurate_and_all_inliers() {
     let (model, explained, world) = found(0.0);
     assert!(explained > 0.99, "{explained}");
     assert!(model.points.len() > 110);
@@ -33,8 +33,8 @@ fn points_at_rest_are_where_they_are_and_explain_everything() {
 }
 
 #[test]
-fn moving_points_do_not_meet() {
-    // Across the path of the cameras, by 4 px from one view to the next.
+fn moving_points_are_outliers() {
+    // Across the trajectory of the cameras, by 4 px from one view to the next.
     let (_, explained, _) = found(0.06);
     assert!(explained < 0.8, "{explained}");
 }

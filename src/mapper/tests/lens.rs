@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::mapper::adjustment::Freedom;
-use crate::mapper::focal_length::{focal_deviation_here, focal_evidence};
+use crate::mapper::focal_length::{focal_evidence, linearized_focal_std};
 use crate::scene::CameraId;
 
 /// A camera that flies straight ahead through points on all sides.
@@ -31,25 +31,26 @@ fn found(world: &World, guess_px: f64, intrinsics: Intrinsics) -> (f64, f64) {
 }
 
 #[test]
-fn a_focal_length_is_no_farther_off_than_is_said() {
+fn focal_length_errors_are_within_three_sigma() {
     let (round, weak) = (world(40, 600), forward_flight(12, 0.3));
-    let (off_round, said_round) = found(&round, 1152.0, Intrinsics::GUESSED);
-    let (off_weak, said_weak) = found(&weak, 1152.0, Intrinsics::GUESSED);
-    assert!(off_round.abs() <= 3.0 * said_round && said_round < 0.01, "{off_round} {said_round}");
-    assert!(off_weak.abs() <= 3.0 * said_weak && said_weak < 0.5, "{off_weak} {said_weak}");
-    assert!(said_weak > 2.0 * said_round, "{said_weak} {said_round}");
+    let (off_round, std_round) = found(&round, 1152.0, Intrinsics::GUESSED);
+    let (off_weak, std_weak) = found(&weak, 1152.0, Intrinsics::GUESSED);
+    assert!(off_round.abs() <= 3.0 * std_round && std_round < 0.01, "{off_round} {std_round}");
+    assert!(off_weak.abs() <= 3.0 * std_weak && std_weak < 0.5, "{off_weak} {std_weak}");
+    assert!(std_weak > 2.0 * std_round, "{std_weak} {std_round}");
 }
 
 #[test]
-fn what_files_state_holds_a_weak_motion_and_gives_way_to_a_strong_one() {
-    let (off, said) = found(&forward_flight(12, 0.3), 930.0, Intrinsics::STATED);
-    assert!(off.abs() < 0.1 && said <= 0.1, "{off} {said}");
-    // Where the motion tells it, what is stated wrongly does no harm.
-    let (off, said) = found(&world(40, 600), 990.0, Intrinsics::STATED);
-    assert!(off.abs() < 0.02 && said < 0.015, "{off} {said}");
+fn the_prior_of_a_file_dominates_a_weak_motion_but_not_a_strong_one() {
+    let (off, std) = found(&forward_flight(12, 0.3), 930.0, Intrinsics::STATED);
+    assert!(off.abs() < 0.1 && std <= 0.1, "{off} {std}");
+    // Where the motion determines it, a wrong prior does no harm.
+    let (off, std) = found(&world(40, 600), 990.0, Intrinsics::STATED);
+    assert!(off.abs() < 0.02 && std < 0.015, "{off} {std}");
 }
 
-/// The arc with a camera that is 2 % longer, off center by 1 % of the width and more distorted than its calibration.
+/// The arc with a focal length 2 % longer, a principal point off by 1 % of the width, and more distortion than
+/// calibrated.
 fn wrongly_calibrated() -> (World, Camera, TrackTable) {
     let mut world = world(40, 600);
     let given = world.camera;
@@ -63,7 +64,7 @@ fn reconstructed(table: &TrackTable, camera: Camera, known: Intrinsics) -> (Reco
 }
 
 #[test]
-fn a_wrong_calibration_is_adjusted_and_shows() {
+fn a_wrong_calibration_is_adjusted_and_detected() {
     let (world, given, table) = wrongly_calibrated();
     let id = CameraId(1);
     let [exact, adjusted, held] =
@@ -87,7 +88,7 @@ fn a_wrong_calibration_is_adjusted_and_shows() {
 }
 
 #[test]
-fn a_clearly_wrong_calibration_is_named_whatever_its_prior() {
+fn a_clearly_wrong_calibration_is_detected_whatever_its_prior() {
     let mut world = world(40, 600);
     let given = world.camera;
     world.camera = Camera { principal: [470.4, 279.6], radial: [-0.1, 0.0], ..Camera::with_focal(960, 540, 945.0) };
@@ -115,7 +116,7 @@ fn a_prior_goes_from_held_to_free() {
     for focal in [focal(Intrinsics::GUESSED), given] {
         assert!((free / focal - 1.0).abs() < 1.5e-2, "{free} {focal}");
     }
-    // Each parameter by itself: one that is held stays, whatever the others do.
+    // Each parameter separately: a fixed one stays, whatever the others do.
     let known = Intrinsics { principal: 0.0, ..Intrinsics::GIVEN };
     let (found, _) = reconstructed(&table, Camera::with_focal(960, 540, 900.0), known);
     let camera = found.cameras[&CameraId(1)];
@@ -123,7 +124,7 @@ fn a_prior_goes_from_held_to_free() {
 }
 
 #[test]
-fn intrinsics_that_are_held_have_no_deviation() {
+fn fixed_intrinsics_have_no_std() {
     let world = world(12, 300);
     let table = tracks(&world, 0.2, 0, &mut seeded_rng(3, 0));
     let (_, report) = reconstruct(&table, &[world.camera], Intrinsics::FIXED, &Options::background(), 1).unwrap();
@@ -131,24 +132,24 @@ fn intrinsics_that_are_held_have_no_deviation() {
 }
 
 #[test]
-fn the_normal_equations_say_of_a_focal_length_what_three_adjustments_say() {
+fn the_linearized_std_of_a_focal_length_is_that_of_three_adjustments() {
     for world in [world(40, 600), forward_flight(12, 0.3)] {
         let table = tracks(&world, 0.3, 30, &mut seeded_rng(12, 0));
         let (cameras, known) = ([Camera::with_focal(960, 540, 990.0)], KnownIntrinsics::from(Intrinsics::GUESSED));
         let options = Options::background();
-        let task = initialization::InitializationAttempt {
+        let attempt = initialization::InitializationAttempt {
             table: &table,
             cameras: &cameras,
             known: &known,
             options: &options,
             poses: None,
         };
-        let growth = task.grow(1, &mut |_| {}).unwrap().unwrap();
-        let sigma_px = growth.map().noise().unwrap();
-        let here = focal_deviation_here(growth.map(), 0, sigma_px, &options).unwrap();
+        let mapper = attempt.grow(1, &mut |_| {}).unwrap().unwrap();
+        let sigma_px = mapper.map().noise().unwrap();
+        let here = linearized_focal_std(mapper.map(), 0, sigma_px, &options).unwrap();
         let adjusted =
-            focal_evidence(growth.map(), &[0], Freedom::FocalAndRadial, sigma_px, &options).unwrap().together;
-        // Beyond a factor of e nothing is known, by how much does not matter.
+            focal_evidence(mapper.map(), &[0], Freedom::FocalAndRadial, sigma_px, &options).unwrap().fully_correlated;
+        // Beyond a factor of e the focal length is unknown, and the value does not matter.
         assert!((here.min(1.0) / adjusted.min(1.0)).ln().abs() < 0.25, "{here} {adjusted}");
     }
 }

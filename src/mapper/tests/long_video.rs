@@ -1,23 +1,23 @@
-//! Tracks that are far longer than the pieces they are cut in.
+//! Tracks far longer than the pieces into which they are split.
 
-use super::motion::{camera, landscape_along, seen_by_all};
+use super::motion::{camera, landscape_along, observed_by_all};
 use super::*;
 
-/// Positions of a camera that looks aside: so many views flying, then standing, then flying on.
+/// Poses of a camera that looks aside: flying, stationary and flying again, for some views each.
 fn flight(counts: [usize; 3]) -> Vec<Rigid3> {
     const STEP: f64 = 0.1;
-    let [before, standing, after] = counts;
+    let [before, stationary, after] = counts;
     let center = |x: f64| Point3::new(x, 0.3 * (0.7 * x).sin(), 0.2 * (0.4 * x).cos());
     let at = |x: f64| Rigid3::from_rotation_and_center(UnitQuaternion::identity(), center(x));
-    let place = |view: usize| view.min(before) + view.saturating_sub(before + standing);
-    (0..before + standing + after).map(|view| at(STEP * place(view) as f64)).collect()
+    let step_index = |view: usize| view.min(before) + view.saturating_sub(before + stationary);
+    (0..before + stationary + after).map(|view| at(STEP * step_index(view) as f64)).collect()
 }
 
 fn options() -> Options {
     Options { max_track_views: 24, ..Options::background() }
 }
 
-fn cut(table: &TrackTable) -> TrackTable {
+fn split(table: &TrackTable) -> TrackTable {
     let mut table = table.clone();
     cut_long_tracks(&mut table, &[camera()], Intrinsics::FIXED, &options(), 1);
     table
@@ -34,28 +34,28 @@ fn longest(table: &TrackTable) -> usize {
 }
 
 #[test]
-fn a_video_in_pieces_is_mapped_as_a_whole() {
+fn a_video_of_split_tracks_is_one_map() {
     let poses = flight([150, 0, 0]);
-    let whole = seen_by_all(&camera(), &poses, &landscape_along(15.0), 0.2);
-    let pieces = cut(&whole);
+    let whole = observed_by_all(&camera(), &poses, &landscape_along(15.0), 0.2);
+    let pieces = split(&whole);
     assert_eq!(pieces.num_observations(), whole.num_observations());
     // A first piece is longer by up to a half, a last one by three.
     assert!(longest(&whole) > 120 && longest(&pieces) <= 24 + 12 + 3, "{} {}", longest(&whole), longest(&pieces));
     assert!(pieces.tracks.is_sorted_by_key(|t| t[0]) && pieces.tracks.iter().all(|t| t.is_sorted()));
     let ((report_of_whole, whole), (report_of_pieces, pieces)) = (mapped(&whole, &poses), mapped(&pieces, &poses));
     assert_eq!([report_of_whole.num_registered(), report_of_pieces.num_registered()], [150; 2]);
-    // Noise without any system is the worst case of a cut, and still a fifth of that error is all that it should cost.
+    // Independent noise is the worst case of a split, which may cost at most a quarter of that error.
     assert!(pieces < 1.25 * whole, "{pieces} {whole}");
 }
 
 #[test]
-fn where_the_camera_stands_no_track_is_cut() {
+fn no_track_is_split_while_the_camera_is_stationary() {
     let poses = flight([50, 60, 50]);
-    let whole = seen_by_all(&camera(), &poses, &landscape_along(10.0), 0.1);
-    let pieces = cut(&whole);
-    // Stretches of eight views are judged, of which two lie half on this side and half on that.
-    let begins_standing = |track: &&Track| (57..104).contains(&track[0].view);
-    assert!(pieces.tracks.len() > whole.tracks.len() && !pieces.tracks.iter().any(|t| begins_standing(&t)));
+    let whole = observed_by_all(&camera(), &poses, &landscape_along(10.0), 0.1);
+    let pieces = split(&whole);
+    // Segments of eight views are tested; two of them are half stationary and half moving.
+    let begins_stationary = |track: &&Track| (57..104).contains(&track[0].view);
+    assert!(pieces.tracks.len() > whole.tracks.len() && !pieces.tracks.iter().any(|t| begins_stationary(&t)));
     let (report, error) = mapped(&pieces, &poses);
     assert_eq!(report.num_registered(), 160);
     // 0.1 px at 900 px focal length and 15 units distance are 1.7 thousandths; hundreds of points average that down.
@@ -64,7 +64,7 @@ fn where_the_camera_stands_no_track_is_cut() {
 
 #[test]
 fn more_views_than_are_adjusted_at_once_are_as_exact() {
-    // Without turns the motion would not tell the focal length.
+    // Without rotations the motion would not determine the focal length.
     let turned = |pose: &Rigid3| {
         let center = pose.center();
         let turn = Vector3::new((0.5 * center.x).sin(), (0.3 * center.x).cos(), (0.9 * center.x).sin()) * 0.1;
@@ -73,7 +73,7 @@ fn more_views_than_are_adjusted_at_once_are_as_exact() {
     let poses: Vec<Rigid3> = flight([1000, 0, 0]).iter().map(turned).collect();
     let shifted = |part: u32| landscape_along(25.0).into_iter().map(move |p| p + 25.0 * f64::from(part) * Vector3::x());
     let points: Vec<_> = (0..4).flat_map(shifted).collect();
-    let mut table = seen_by_all(&camera(), &poses, &points, 0.2);
+    let mut table = observed_by_all(&camera(), &poses, &points, 0.2);
     let (options, guess) = (Options::background(), Camera::prior(960, 540));
     cut_long_tracks(&mut table, &[guess], Intrinsics::GUESSED, &options, 1);
     let (found, report) = reconstruct(&table, &[guess], Intrinsics::GUESSED, &options, 1).unwrap();

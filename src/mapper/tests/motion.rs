@@ -1,11 +1,11 @@
-//! Motion that shows no depth, or little.
+//! Motion that determines no depth, or little.
 
 use super::*;
 
 const POINTS: usize = 400;
 
-/// All points in all views that see them, with noise.
-pub fn seen_by_all(camera: &Camera, poses: &[Rigid3], points: &[Point3<f64>], noise_px: f64) -> TrackTable {
+/// Tracks of all points in all views that observe them, with noise.
+pub fn observed_by_all(camera: &Camera, poses: &[Rigid3], points: &[Point3<f64>], noise_px: f64) -> TrackTable {
     let mut rng = seeded_rng(21, 0);
     let normal = Normal::new(0.0, noise_px).unwrap();
     let empty = World { camera: *camera, poses: poses.to_vec(), points: Vec::new() };
@@ -25,12 +25,12 @@ pub fn seen_by_all(camera: &Camera, poses: &[Rigid3], points: &[Point3<f64>], no
     table
 }
 
-/// A landscape before the camera, from 6 to 30 units away.
+/// Landscape in front of the camera, from 6 to 30 units away.
 fn landscape() -> Vec<Point3<f64>> {
     landscape_along(0.0)
 }
 
-/// The same before a camera that flies so far to the right.
+/// Landscape in front of a camera that moves to the right by a distance.
 pub fn landscape_along(length: f64) -> Vec<Point3<f64>> {
     let mut rng = seeded_rng(22, 0);
     let mut point = || {
@@ -58,28 +58,28 @@ pub fn camera() -> Camera {
 }
 
 #[test]
-fn a_still_camera_is_said_to_stand_still() {
+fn a_stationary_camera_is_reported() {
     let poses: Vec<Rigid3> = (0..15).map(|_| Rigid3::identity()).collect();
-    for (found, report) in both(&seen_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
+    for (found, report) in both(&observed_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
         assert!(found.is_empty());
         assert!(report.failure.clone().unwrap().contains("camera stationary"), "{:?}", report.failure);
     }
 }
 
 #[test]
-fn a_camera_that_only_turns_gives_no_map() {
+fn a_rotating_camera_gives_no_map() {
     let poses: Vec<Rigid3> = (0..15).map(|k| turned(0.03 * f64::from(k), Point3::origin())).collect();
-    for (found, report) in both(&seen_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
+    for (found, report) in both(&observed_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
         assert!(found.is_empty(), "{} views, {} points", found.images.len(), found.points.len());
         assert!(report.failure.clone().unwrap().contains("only rotates"), "{:?}", report.failure);
     }
 }
 
 #[test]
-fn a_turning_camera_that_moves_as_well_gives_a_map() {
+fn a_rotating_and_translating_camera_gives_a_map() {
     let center = |k: f64| Point3::new(0.25 * k, 0.02 * k * k, 0.0);
     let poses: Vec<Rigid3> = (0..15).map(|k| turned(0.02 * f64::from(k), center(f64::from(k)))).collect();
-    for (found, report) in both(&seen_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
+    for (found, report) in both(&observed_by_all(&camera(), &poses, &landscape(), 0.2), &camera()) {
         assert_eq!(found.images.len(), 15);
         let weak = |r: &ModelWeakness| matches!(r, ModelWeakness::PlanarScene { .. } | ModelWeakness::ForwardMotion);
         assert!(report.failure.is_none() && !report.remarks.iter().any(weak), "{:?}", report.remarks);
@@ -87,7 +87,7 @@ fn a_turning_camera_that_moves_as_well_gives_a_map() {
 }
 
 #[test]
-fn a_plane_is_reconstructed_and_said() {
+fn a_plane_is_reconstructed_and_reported() {
     let mut rng = seeded_rng(23, 0);
     let points: Vec<Point3<f64>> =
         (0..POINTS).map(|_| Point3::new(rng.random_range(-6.0..6.0), rng.random_range(-6.0..6.0), 0.0)).collect();
@@ -96,7 +96,7 @@ fn a_plane_is_reconstructed_and_said() {
         look_at(Point3::new(9.0 * t.cos(), 9.0 * t.sin(), 7.0), Point3::origin())
     };
     let poses: Vec<Rigid3> = (0..20).map(pose).collect();
-    let [(found, report), (_, guessed)] = both(&seen_by_all(&camera(), &poses, &points, 0.2), &camera());
+    let [(found, report), (_, guessed)] = both(&observed_by_all(&camera(), &poses, &points, 0.2), &camera());
     assert_eq!(found.images.len(), 20);
     let world = World { camera: camera(), poses, points };
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
@@ -109,10 +109,10 @@ fn a_plane_is_reconstructed_and_said() {
 }
 
 #[test]
-fn forward_motion_is_reconstructed_and_said() {
+fn forward_motion_is_reconstructed_and_reported() {
     let center = |k: f64| Point3::new(0.01 * k, 0.03 * k.sin(), 0.3 * k);
     let poses: Vec<Rigid3> = (0..15).map(|k| turned(0.004 * f64::from(k % 3), center(f64::from(k)))).collect();
-    let table = seen_by_all(&camera(), &poses, &landscape(), 0.2);
+    let table = observed_by_all(&camera(), &poses, &landscape(), 0.2);
     let (found, report) = reconstruct(&table, &[camera()], Intrinsics::FIXED, &Options::background(), 0).unwrap();
     assert_eq!(found.images.len(), 15);
     let world = World { camera: camera(), poses, points: Vec::new() };
@@ -120,9 +120,9 @@ fn forward_motion_is_reconstructed_and_said() {
     assert_eq!(report.remarks, [ModelWeakness::ForwardMotion]);
 }
 
-/// Over nearly flat ground, looking straight down, through a shutter that rolls down the picture.
+/// Over nearly flat ground, looking straight down, with a rolling shutter.
 #[test]
-fn a_single_flight_looking_down_keeps_the_simplest_lens() {
+fn a_single_flight_looking_down_keeps_the_simplest_intrinsics() {
     let mut rng = seeded_rng(24, 0);
     let points: Vec<Point3<f64>> = (0..1200)
         .map(|_| Point3::new(rng.random_range(-30.0..110.0), rng.random_range(-20.0..20.0), rng.random_range(0.0..1.0)))
@@ -130,7 +130,7 @@ fn a_single_flight_looking_down_keeps_the_simplest_lens() {
     let down = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let center = |k: f64| Point3::new(6.0 * k, 0.3 * k.sin(), 40.0 + 0.2 * (2.0 * k).cos());
     let poses: Vec<Rigid3> = (0..14).map(|k| Rigid3::from_rotation_and_center(down, center(f64::from(k)))).collect();
-    let mut table = seen_by_all(&camera(), &poses, &points, 0.2);
+    let mut table = observed_by_all(&camera(), &poses, &points, 0.2);
     for pixel in table.views.iter_mut().flat_map(|view| &mut view.pixels) {
         pixel.x += 3.0 * (pixel.y / 540.0 - 0.5);
     }
@@ -141,13 +141,13 @@ fn a_single_flight_looking_down_keeps_the_simplest_lens() {
     let lens = found.cameras.values().next().unwrap();
     assert_eq!((lens.radial[1], lens.principal), (0.0, [480.0, 270.0]));
     let world = World { camera: camera(), poses, points };
-    // The height over the ground goes with the focal length, the path does not.
+    // The height over the ground depends on the focal length, the trajectory does not.
     assert!(center_error(&found, &world) < 0.5, "{}", center_error(&found, &world));
 }
 
-/// Round a box of points, where everything about the lens can be seen.
+/// Around a box of points, which determines all intrinsics.
 #[test]
-fn both_coefficients_of_distortion_are_found_where_the_motion_tells_them() {
+fn both_distortion_coefficients_are_estimated_where_determined() {
     let lens = Camera { radial: [-0.12, 0.04], ..camera() };
     let world = World { camera: lens, ..world(40, 600) };
     let table = tracks(&world, 0.2, 20, &mut seeded_rng(3, 0));

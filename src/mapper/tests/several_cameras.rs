@@ -12,13 +12,13 @@ fn camera_of(view: usize) -> usize {
     }
 }
 
-/// Turned by a right angle and scaled to a half; a narrower lens on a larger picture; the usual one.
+/// The usual camera; one turned by a right angle and scaled to a half; a narrower lens on a larger image.
 fn cameras() -> [Camera; 3] {
     [Camera::with_focal(960, 540, 900.0), Camera::with_focal(270, 480, 450.0), Camera::with_focal(1200, 900, 1700.0)]
 }
 
-/// Tracks of the world's points as these cameras see them.
-fn seen(world: &World, noise_px: f64) -> TrackTable {
+/// Tracks of the world's points as these cameras observe them.
+fn observed(world: &World, noise_px: f64) -> TrackTable {
     let mut table = tracks(world, noise_px, 30, &mut seeded_rng(21, 0));
     let cameras = cameras();
     for (v, view) in table.views.iter_mut().enumerate() {
@@ -38,15 +38,15 @@ fn unordered() -> Options {
 #[test]
 fn each_camera_gets_its_own_focal_length() {
     let world = world(NUM_VIEWS as u32, 500);
-    let table = seen(&world, 0.2);
+    let table = observed(&world, 0.2);
     let guesses = cameras().map(|camera| Camera::prior_of_photograph(camera.width, camera.height));
     let (found, report) = reconstruct(&table, &guesses, Intrinsics::GUESSED, &unordered(), 1).unwrap();
     assert_eq!(report.num_registered(), NUM_VIEWS, "{:?}", report.failures().collect::<Vec<_>>());
     assert!(center_error(&found, &world) < 0.02, "{}", center_error(&found, &world));
-    for ((camera, truth), deviation) in found.cameras.values().zip(cameras()).zip(&report.focal_deviations) {
+    for ((camera, truth), focal_std) in found.cameras.values().zip(cameras()).zip(&report.focal_deviations) {
         let off = (camera.mean_focal() / truth.mean_focal()).ln().abs();
-        let said = deviation.unwrap();
-        assert!(off < 0.02 && off < 4.0 * said && said < 0.05, "{off} {said}");
+        let std = focal_std.unwrap();
+        assert!(off < 0.02 && off < 4.0 * std && std < 0.05, "{off} {std}");
         assert_eq!((camera.width, camera.height), (truth.width, truth.height));
     }
     for (view, image) in found.images.values().enumerate() {
@@ -55,9 +55,9 @@ fn each_camera_gets_its_own_focal_length() {
 }
 
 #[test]
-fn what_is_given_of_one_camera_is_held_and_the_others_are_found() {
+fn the_calibration_of_one_camera_is_fixed_and_the_others_are_estimated() {
     let world = world(NUM_VIEWS as u32, 500);
-    let table = seen(&world, 0.2);
+    let table = observed(&world, 0.2);
     let [first, second, third] = cameras();
     let cameras = [first, Camera::prior_of_photograph(270, 480), Camera::with_focal(1200, 900, 1750.0)];
     let known = vec![Intrinsics::FIXED, Intrinsics::GUESSED, Intrinsics::STATED];

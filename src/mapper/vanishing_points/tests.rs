@@ -10,28 +10,28 @@ fn camera() -> Camera {
     Camera::with_focal(960, 540, 800.0)
 }
 
-/// Segments of a street with walls below a camera 30 m above it: kerbs along it and across it, and uprights; one in
-/// ten has any direction.
+/// Segments of a street with walls below a camera 30 m above it: kerbs along it and across it, and verticals; one in
+/// ten has a random direction.
 pub(crate) fn street(camera: &Camera, up: &Vector3<f64>, slope: f64, rng: &mut Rng) -> Vec<[Point2<f64>; 2]> {
     let angles = Vector2::new((-up.z).atan2(-up.y), up.x.asin());
     let heading = rng.random_range(0.2..1.3);
     let [along, across] = [0.0, std::f64::consts::FRAC_PI_2].map(|turn| level(angles, heading + turn));
-    let upright = (up + along * slope).normalize();
+    let vertical = (up + along * slope).normalize();
     let ahead = level(angles, std::f64::consts::FRAC_PI_2);
     let mut found = Vec::new();
     while found.len() < 160 {
-        let place = ahead * (30.0 / angles.x.tan() + rng.random_range(-25.0..25.0))
+        let middle = ahead * (30.0 / angles.x.tan() + rng.random_range(-25.0..25.0))
             + level(angles, 0.0) * rng.random_range(-25.0..25.0)
             - up * rng.random_range(18.0..30.0);
         let any = Vector3::from_fn(|_, _| rng.sample::<f64, _>(StandardNormal)).normalize();
         let direction = match found.len() % 10 {
             0..4 => along,
             4..6 => across,
-            6..9 => upright,
+            6..9 => vertical,
             _ => any,
         };
         let half = direction * rng.random_range(1.0..3.0);
-        let ends = [place - half, place + half].map(|end| camera.pixel_from_cam(Point3::from(end)));
+        let ends = [middle - half, middle + half].map(|end| camera.pixel_from_cam(Point3::from(end)));
         let [Some(from), Some(to)] = ends else { continue };
         if camera.contains(from) && camera.contains(to) && (to - from).norm() > 24.0 {
             let mut noise = || Vector2::from_fn(|_, _| 0.3 * rng.sample::<f64, _>(StandardNormal));
@@ -90,7 +90,7 @@ fn the_slope_of_a_street_is_within_sigma() {
 }
 
 #[test]
-fn lines_of_any_direction_show_nothing() {
+fn lines_of_random_directions_are_rejected() {
     let mut rng = seeded_rng(5, 0);
     for num in [20, 60, 200] {
         let mut segment = || {
@@ -105,7 +105,7 @@ fn lines_of_any_direction_show_nothing() {
 }
 
 #[test]
-fn lines_seen_from_straight_above_show_nothing() {
+fn lines_from_straight_above_are_rejected() {
     let mut rng = seeded_rng(5, 0);
     for (pitch, focal_std) in [(1.45, 0.4), (1.5, 0.4), (1.57, 0.4), (1.57, 0.0)] {
         for _ in 0..4 {

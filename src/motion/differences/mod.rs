@@ -1,9 +1,9 @@
-//! Moving objects before a camera that does not translate: what differs from the median of the frames around.
+//! Moving objects in the view of a camera that does not translate, by differences from a median background.
 //!
-//! Rotations align such frames, so that a vehicle shows itself by its pixels, however small it is, and needs no corners
-//! that can be followed (median background: B. P. L. Lo and S. A. Velastin, *Automatic congestion detection system for
-//! underground platforms*, ISIMP 2001). The sway of a drone moves houses against the ground by a pixel or two, and wind
-//! moves leaves: such differences stay where they are, and only what leaves its place is an object.
+//! Rotations align such frames, so pixels suffice to detect a vehicle of any size, without corners to track (median
+//! background: B. P. L. Lo and S. A. Velastin, *Automatic congestion detection system for underground platforms*, ISIMP
+//! 2001). The sway of a drone moves houses against the ground by a pixel or two, and wind moves leaves. Such
+//! differences keep their positions; only a region with a displacement is an object.
 
 mod linking;
 mod regions;
@@ -21,18 +21,18 @@ use crate::scene::Rect;
 use linking::Linker;
 use regions::SceneMedian;
 
-/// Time before and after a frame from which its background is taken, seconds: a vehicle of 5 m at walking speed covers
-/// a place for less than half of it.
-const AROUND_S: f64 = 4.0;
-/// Frames of which the median is taken: half of them may show something else.
+/// Time before and after a frame from which its background is computed, seconds: a vehicle of 5 m at walking speed
+/// covers a position for less than half of it.
+const WINDOW_S: f64 = 4.0;
+/// Number of frames of the median: fewer than half of them may show a moving object at a pixel.
 const NUM_SAMPLES: usize = 9;
-/// Time for which one median serves, before and after its own, seconds: it takes nine warps, a comparison one.
-const SERVES_S: f64 = 0.5;
+/// Time before and after a median for which it is used, seconds: it takes nine warps, a comparison one.
+const MEDIAN_REUSE_S: f64 = 0.5;
 
 /// Standard deviation of the blur against noise and jagged edges, pixels.
 const BLUR_PX: f64 = 0.8;
 
-/// Boxes of something that moves, whatever found it.
+/// Boxes of a moving object, independent of the detector.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MovingObject {
     /// Its box in each frame, pixels.
@@ -47,49 +47,56 @@ impl From<Mover> for MovingObject {
     }
 }
 
-/// Compares frames, some time apart, with those around them.
+/// Detector of moving objects that compares sampled frames with the frames before and after.
 pub struct DifferenceDetector<'a> {
     surroundings: Surroundings<'a>,
     /// Width and height at which frames are compared.
-    work: (u32, u32),
-    /// Frames that wait for later ones, after those that are done and still serve as surroundings.
-    looks: VecDeque<Look>,
+    working_size: (u32, u32),
+    /// Processed frames still needed for a background, then frames that wait for later ones.
+    frames: VecDeque<ComparedFrame>,
     num_done: usize,
     median: Option<SceneMedian>,
     linker: Linker,
 }
 
-/// A frame that is compared, at the working size; black where it shows nothing.
-struct Look {
+/// Compared frame at the working size; black outside the image.
+struct ComparedFrame {
     index: u32,
     time_s: f64,
     view: View,
-    picture: RgbImage,
+    image: RgbImage,
 }
 
 impl<'a> DifferenceDetector<'a> {
-    /// Nothing seen yet. Larger frames are shrunk as for the follower.
+    /// Detector without frames; larger frames are downscaled as for the follower.
     pub fn new(surroundings: Surroundings<'a>) -> Self {
         let (width, height) = surroundings.size;
-        let work = scale_to_fit(width, height, MAX_SIDE_PX);
-        Self { surroundings, work, looks: VecDeque::new(), num_done: 0, median: None, linker: Linker::default() }
+        let working_size = scale_to_fit(width, height, MAX_SIDE_PX);
+        Self {
+            surroundings,
+            working_size,
+            frames: VecDeque::new(),
+            num_done: 0,
+            median: None,
+            linker: Linker::default(),
+        }
     }
 
-    /// Takes a frame, later than those before; one without a camera is skipped.
+    /// Adds a frame, later than those before; a frame without a camera is skipped.
     ///
     /// # Errors
     /// [`ImageError`] if OpenCV fails.
-    pub fn push(&mut self, index: u32, picture: &RgbImage) -> Result<(), ImageError> {
+    pub fn push(&mut self, index: u32, image: &RgbImage) -> Result<(), ImageError> {
         let known = self.surroundings.view(index).zip(self.surroundings.times_s.get(index as usize));
         let Some((&view, &time_s)) = known else { return Ok(()) };
-        let mut picture = blurred(&resize_rgb_quickly(picture, self.work.0, self.work.1)?, BLUR_PX)?;
-        picture.iter_mut().for_each(|value| *value = (*value).max(1));
-        let view = View { camera: view.camera.resized(self.work.0, self.work.1), ..view };
-        self.looks.push_back(Look { index, time_s, view, picture });
-        self.advance(time_s - AROUND_S - SERVES_S)
+        let mut image = blurred(&resize_rgb_quickly(image, self.working_size.0, self.working_size.1)?, BLUR_PX)?;
+        image.iter_mut().for_each(|value| *value = (*value).max(1));
+        let view = View { camera: view.camera.resized(self.working_size.0, self.working_size.1), ..view };
+        self.frames.push_back(ComparedFrame { index, time_s, view, image });
+        self.advance(time_s - WINDOW_S - MEDIAN_REUSE_S)
     }
 
-    /// All objects, those that were seen first at the front.
+    /// Returns all objects, in the order of their first frames.
     ///
     /// # Errors
     /// [`ImageError`] if OpenCV fails.
@@ -98,37 +105,39 @@ impl<'a> DifferenceDetector<'a> {
         Ok(self.linker.finish(&self.surroundings))
     }
 
-    /// Compares all frames up to a time, and forgets those that no later one needs.
+    /// Compares all frames up to a time, and drops those that no later frame needs.
     fn advance(&mut self, until_s: f64) -> Result<(), ImageError> {
-        while let Some(look) = self.looks.get(self.num_done).filter(|look| look.time_s <= until_s) {
-            if self.median.as_ref().is_none_or(|median| look.time_s > median.time_s + SERVES_S) {
-                self.median = Some(self.median_for(look)?);
+        while let Some(frame) = self.frames.get(self.num_done).filter(|frame| frame.time_s <= until_s) {
+            if self.median.as_ref().is_none_or(|median| frame.time_s > median.time_s + MEDIAN_REUSE_S) {
+                self.median = Some(self.median_for(frame)?);
             }
             if let Some(median) = &self.median {
-                let found = median.differences(look)?;
-                self.linker.push(look, &found);
+                let found = median.differences(frame)?;
+                self.linker.push(frame, &found);
             }
             self.num_done += 1;
-            let needed_s = look.time_s - AROUND_S;
-            let num_past = self.looks.iter().take_while(|past| past.time_s < needed_s).count();
-            self.looks.drain(..num_past);
+            let needed_s = frame.time_s - WINDOW_S;
+            let num_past = self.frames.iter().take_while(|past| past.time_s < needed_s).count();
+            self.frames.drain(..num_past);
             self.num_done -= num_past;
         }
         Ok(())
     }
 
-    /// The median that serves a frame and those after it.
-    fn median_for(&self, look: &Look) -> Result<SceneMedian, ImageError> {
-        let time_s = look.time_s + SERVES_S;
-        let near: Vec<&Look> = self.looks.iter().filter(|near| (near.time_s - time_s).abs() <= AROUND_S).collect();
+    /// Median background of a frame and those after it.
+    fn median_for(&self, frame: &ComparedFrame) -> Result<SceneMedian, ImageError> {
+        let time_s = frame.time_s + MEDIAN_REUSE_S;
+        let near: Vec<&ComparedFrame> =
+            self.frames.iter().filter(|near| (near.time_s - time_s).abs() <= WINDOW_S).collect();
         let count = NUM_SAMPLES.min(near.len());
-        let samples: Vec<&Look> = (0..count).map(|k| near[(2 * k + 1) * near.len() / (2 * count)]).collect();
-        SceneMedian::new(look.view, time_s, &samples)
+        let samples: Vec<&ComparedFrame> = (0..count).map(|k| near[(2 * k + 1) * near.len() / (2 * count)]).collect();
+        SceneMedian::new(frame.view, time_s, &samples)
     }
 }
 
-/// Target from source, pixels of two views from one place. Distortion of the lens is left out: between frames of a few
-/// seconds it differs by little.
+/// Homography from source to target pixels of two views with one center.
+///
+/// Lens distortion is ignored: within a few seconds its change is small.
 fn homography(target: &View, source: &View) -> Matrix3<f64> {
     let turn = target.cam_from_world.rotation * source.cam_from_world.rotation.inverse();
     let rays = source.camera.matrix().try_inverse().unwrap_or_else(Matrix3::identity);

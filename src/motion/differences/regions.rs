@@ -1,66 +1,67 @@
-//! The median of some frames, and the regions in which another frame differs from it.
+//! Median background, and the regions in which a frame differs from it.
 
 use opencv::core::{BORDER_CONSTANT, CV_32S, Mat, MatTraitConst, MatTraitConstManual, Point, Size};
 use opencv::imgproc;
 use rayon::prelude::*;
 
-use super::{Look, homography};
+use super::{ComparedFrame, homography};
 use crate::image::{GrayImage, ImageError, RgbImage, borrowed_gray, borrowed_rgb, rgb_from_mat, warp_rgb};
 use crate::math::{STD_PER_MAD, upper_median};
 use crate::motion::View;
 use crate::scene::{BoundingBox, Rect};
 
-/// Least difference that a region must have somewhere, gray levels of the channel that differs most: where nothing
-/// moves renders and clear videos differ by less than 10.
+/// Minimum of the largest difference in a region, gray levels of the channel that differs most: static parts of renders
+/// and clear videos differ by less than 10.
 const MIN_DIFFERENCE: f64 = 20.0;
-/// The same in standard deviations of the frame's noise.
+/// The same minimum in standard deviations of the frame's noise.
 const SIGMAS: f64 = 6.0;
-/// Share of it that suffices next to such a place: a green car in the shadow falls apart without.
+/// Share of the minimum that suffices for the other pixels of a region: without it a green car in the shadow is split.
 const WEAK: f64 = 0.6;
-/// Side of the square in which parts of one vehicle are joined, pixels: panes are so far from roofs.
-const JOINED_PX: i32 = 5;
-/// Least area of a region, square pixels: a car of 10 × 4 pixels has more.
+/// Side of the square of the morphological closing that connects parts of one vehicle, such as windows and roof,
+/// pixels.
+const CLOSING_PX: i32 = 5;
+/// Minimum area of a region, square pixels: a car of 10 × 4 pixels has more.
 const MIN_AREA_PX2: usize = 30;
-/// Least share of a region that is no shadow where its box leaves the shadow out.
+/// Minimum share of a region without shadow for its box to exclude the shadow.
 const MIN_LIT: f64 = 0.25;
-/// Every so many pixels one is taken for the noise.
+/// Interval between the pixels from which the noise is measured, pixels.
 const STRIDE: usize = 29;
 
-/// The frames around a time without what moves there, as a camera sees them; black where too few frames show anything.
+/// Median background around a time in one view; black where too few frames cover it.
 pub(super) struct SceneMedian {
     pub(super) time_s: f64,
     view: View,
-    picture: RgbImage,
+    image: RgbImage,
 }
 
 impl SceneMedian {
-    /// The median of samples in a view.
-    pub(super) fn new(view: View, time_s: f64, samples: &[&Look]) -> Result<Self, ImageError> {
+    /// Median of sample frames, warped to a view.
+    pub(super) fn new(view: View, time_s: f64, samples: &[&ComparedFrame]) -> Result<Self, ImageError> {
         let warped: Vec<RgbImage> = samples
             .par_iter()
-            .map(|sample| warp_rgb(&sample.picture, &homography(&view, &sample.view)))
+            .map(|sample| warp_rgb(&sample.image, &homography(&view, &sample.view)))
             .collect::<Result<_, _>>()?;
-        let mut picture = RgbImage::new(view.camera.width, view.camera.height);
-        picture.par_chunks_exact_mut(3).enumerate().for_each(|(at, pixel)| {
+        let mut image = RgbImage::new(view.camera.width, view.camera.height);
+        image.par_chunks_exact_mut(3).enumerate().for_each(|(at, pixel)| {
             for (channel, value) in pixel.iter_mut().enumerate() {
-                let mut seen = [0u8; super::NUM_SAMPLES];
+                let mut values = [0u8; super::NUM_SAMPLES];
                 let mut count = 0;
                 for value in warped.iter().map(|image| image.as_raw()[3 * at + channel]).filter(|value| *value > 0) {
-                    seen[count] = value;
+                    values[count] = value;
                     count += 1;
                 }
-                seen[..count].sort_unstable();
-                *value = if 2 * count > warped.len() { seen[count / 2] } else { 0 };
+                values[..count].sort_unstable();
+                *value = if 2 * count > warped.len() { values[count / 2] } else { 0 };
             }
         });
-        Ok(Self { time_s, view, picture })
+        Ok(Self { time_s, view, image })
     }
 
-    /// Where a frame differs, pixels of the working size. Edges that lie a pixel off their place do not count.
-    pub(super) fn differences(&self, look: &Look) -> Result<Vec<Rect>, ImageError> {
-        let expected = warp_rgb(&self.picture, &homography(&look.view, &self.view))?;
+    /// Regions in which a frame differs, pixels of the working size. Edges displaced by a pixel are tolerated.
+    pub(super) fn differences(&self, frame: &ComparedFrame) -> Result<Vec<Rect>, ImageError> {
+        let expected = warp_rgb(&self.image, &homography(&frame.view, &self.view))?;
         let (least, most) = (neighborhood(&expected, imgproc::erode)?, neighborhood(&expected, imgproc::dilate)?);
-        let [offsets, stds] = brightness(&look.picture, &expected);
+        let [offsets, stds] = brightness(&frame.image, &expected);
         let limits = [0, 1, 2].map(|channel| MIN_DIFFERENCE.max(SIGMAS * stds[channel]));
         let kind = |[pixel, expected, least, most]: [&[u8]; 4]| {
             let value = |channel: usize| f64::from(pixel[channel]) - offsets[channel];
@@ -75,9 +76,9 @@ impl SceneMedian {
             let is_lit = !is_shadow([0, 1, 2].map(|channel| value(channel) / f64::from(expected[channel])));
             DIFFERS | if strength > 1.0 { STRONG } else { 0 } | if is_lit { LIT } else { 0 }
         };
-        let (width, height) = look.picture.dimensions();
+        let (width, height) = frame.image.dimensions();
         let mut kinds = GrayImage::new(width, height);
-        let pixels = triples(&look.picture).zip(triples(&expected)).zip(triples(&least)).zip(triples(&most));
+        let pixels = triples(&frame.image).zip(triples(&expected)).zip(triples(&least)).zip(triples(&most));
         kinds.par_iter_mut().zip(pixels).for_each(|(value, (((p, e), l), m))| *value = kind([p, e, l, m]));
         connected(&kinds)
     }
@@ -94,14 +95,14 @@ fn triples(image: &RgbImage) -> impl IndexedParallelIterator<Item = &[u8]> {
     image.as_raw().par_chunks_exact(3)
 }
 
-/// Returns true if a pixel is darker than expected by the same ratio in all channels, as shadows are and gray cars.
+/// Returns true if a pixel is darker than expected by the same ratio in all channels, like shadows and gray cars.
 fn is_shadow(ratios: [f64; 3]) -> bool {
     let (least, most) = (ratios.into_iter().fold(f64::MAX, f64::min), ratios.into_iter().fold(0.0, f64::max));
-    // Full sunlight is brighter than the light of the sky by at most so much; half-shadows, and the sky's color.
+    // The limits are the ratio of sky light to full sunlight, penumbrae, and the color of the sky.
     least >= 0.35 && most <= 0.95 && most - least <= 0.12
 }
 
-/// The smallest or largest value of each channel among a pixel and its neighbors.
+/// Minimum or maximum of each channel among a pixel and its neighbors.
 fn neighborhood(
     image: &RgbImage,
     operation: fn(&Mat, &mut Mat, &Mat, Point, i32, i32, opencv::core::Scalar) -> opencv::Result<()>,
@@ -116,11 +117,10 @@ fn square(side: i32) -> Result<Mat, ImageError> {
     Ok(imgproc::get_structuring_element_def(imgproc::MORPH_RECT, Size::new(side, side))?)
 }
 
-/// Per channel the difference in brightness of two pictures (exposure, clouds), and the standard deviation of the
-/// noise.
-fn brightness(picture: &RgbImage, expected: &RgbImage) -> [[f64; 3]; 2] {
+/// Difference in brightness between two images (exposure, clouds) and standard deviation of the noise, by channel.
+fn brightness(image: &RgbImage, expected: &RgbImage) -> [[f64; 3]; 2] {
     let differences: [Vec<f64>; 3] = [0, 1, 2].map(|channel| {
-        let values = picture.as_raw().iter().zip(expected.as_raw()).skip(channel).step_by(3 * STRIDE);
+        let values = image.as_raw().iter().zip(expected.as_raw()).skip(channel).step_by(3 * STRIDE);
         values.filter(|(_, e)| **e > 0).map(|(v, e)| f64::from(*v) - f64::from(*e)).collect()
     });
     let offsets = differences.each_ref().map(|all| upper_median(all.clone()).unwrap_or(0.0));
@@ -131,14 +131,14 @@ fn brightness(picture: &RgbImage, expected: &RgbImage) -> [[f64; 3]; 2] {
     [offsets, stds]
 }
 
-/// The boxes of connected regions of pixels that differ, at least one of them strongly; without their shadows.
+/// Boxes of connected regions of pixels that differ, at least one of them strongly, without their shadows.
 fn connected(kinds: &GrayImage) -> Result<Vec<Rect>, ImageError> {
-    let (mut joined, kernel, border) =
-        (Mat::default(), square(JOINED_PX)?, imgproc::morphology_default_border_value()?);
+    let (mut closed, kernel, border) =
+        (Mat::default(), square(CLOSING_PX)?, imgproc::morphology_default_border_value()?);
     let (source, anchor, close) = (borrowed_gray(kinds)?, Point::new(-1, -1), imgproc::MORPH_CLOSE);
-    imgproc::morphology_ex(&source, &mut joined, close, &kernel, anchor, 1, BORDER_CONSTANT, border)?;
+    imgproc::morphology_ex(&source, &mut closed, close, &kernel, anchor, 1, BORDER_CONSTANT, border)?;
     let mut labels = Mat::default();
-    let count = imgproc::connected_components(&joined, &mut labels, 8, CV_32S)?;
+    let count = imgproc::connected_components(&closed, &mut labels, 8, CV_32S)?;
     let mut regions = vec![Region::default(); count.max(0) as usize];
     let width = kinds.width() as usize;
     let labeled = labels.data_typed::<i32>()?.iter().zip(kinds.iter()).enumerate();
@@ -148,12 +148,13 @@ fn connected(kinds: &GrayImage) -> Result<Vec<Rect>, ImageError> {
     Ok(regions.into_iter().filter_map(Region::rect).collect())
 }
 
-/// Connected pixels.
+/// Connected region.
 #[derive(Clone, Default)]
 struct Region {
     is_strong: bool,
-    /// All pixels, and those without shadow.
+    /// All pixels.
     all: Extent,
+    /// Pixels without shadow.
     lit: Extent,
 }
 
@@ -181,9 +182,9 @@ impl Region {
         }
     }
 
-    /// Its box; `None` where it is too small or too weak.
+    /// Box of the region; `None` if it is too small or too weak.
     fn rect(self) -> Option<Rect> {
-        // A gray car that is all but its lamps darker than the road looks like a shadow itself.
+        // A gray car whose pixels, except for the lamps, are darker than the road looks like a shadow.
         let is_lit = self.lit.num_pixels as f64 >= MIN_LIT * self.all.num_pixels as f64;
         let bounds = if is_lit { self.lit.bounds } else { self.all.bounds };
         bounds.filter(|_| self.is_strong && self.all.num_pixels >= MIN_AREA_PX2).map(Rect::from)

@@ -1,4 +1,4 @@
-//! A drone hovers over a textured ground, and small things move on it.
+//! Tests with a hovering drone over a textured ground, on which small objects move.
 
 use ::image::Rgb;
 use nalgebra::{Point2, Point3, UnitQuaternion};
@@ -13,10 +13,10 @@ const SIZE: (u32, u32) = (320, 180);
 const NUM_FRAMES: u32 = 40;
 const STEP_S: f64 = 0.2;
 
-/// Where the middle of a thing is in a frame, on the plane z = 1 of a camera that does not turn, and its sides there.
-type Thing = (fn(u32) -> [f64; 2], [f64; 2]);
+/// Center of an object by frame, on the plane z = 1 of a camera that does not rotate, and its sides there.
+type Object = (fn(u32) -> [f64; 2], [f64; 2]);
 
-/// A camera that sways by a degree, and turns on.
+/// Views of a camera that sways by a degree and rotates steadily.
 fn views() -> Vec<Option<View>> {
     let camera = Camera::with_focal(SIZE.0, SIZE.1, 250.0);
     let view = |k: u32| {
@@ -27,7 +27,7 @@ fn views() -> Vec<Option<View>> {
     (0..NUM_FRAMES).map(view).collect()
 }
 
-/// The brightness of the ground in a direction: squares of random brightness, as wide as two pixels and more.
+/// Brightness of the ground in a direction: squares of random brightness, two pixels wide and more.
 fn ground(x: f64, y: f64) -> f64 {
     let cell = |size: f64, stream: u64| {
         let (i, j) = ((x / size).floor() as i64, (y / size).floor() as i64);
@@ -36,37 +36,37 @@ fn ground(x: f64, y: f64) -> f64 {
     110.0 + 20.0 * cell(0.05, 1) + 10.0 * cell(0.012, 2)
 }
 
-fn picture(view: &View, frame: u32, things: &[Thing], brightness: f64) -> RgbImage {
+fn image(view: &View, frame: u32, objects: &[Object], brightness: f64) -> RgbImage {
     let mut rng = seeded_rng(3, u64::from(frame));
     RgbImage::from_fn(SIZE.0, SIZE.1, |u, v| {
         let ray = view.camera.ray_from_pixel(Point2::new(f64::from(u) + 0.5, f64::from(v) + 0.5));
         let ray = view.cam_from_world.rotation.inverse() * ray;
         let (x, y) = (ray.x / ray.z, ray.y / ray.z);
-        let is_of = |(at, sides): &&Thing| {
+        let is_of = |(at, sides): &&Object| {
             let [cx, cy] = at(frame);
             (x - cx).abs() < 0.5 * sides[0] && (y - cy).abs() < 0.5 * sides[1]
         };
-        // The shadow of each lies to its right.
-        let shadow = |(at, sides): &Thing| {
+        // The shadow of each object is to its right.
+        let shadow = |(at, sides): &Object| {
             let [cx, cy] = at(frame);
             (0.0..sides[0]).contains(&(x - cx)) && (y - cy).abs() < 0.5 * sides[1]
         };
-        let shade = if things.iter().any(shadow) { 0.6 } else { 1.0 };
-        let value = if things.iter().any(|thing| is_of(&thing)) { 190.0 } else { shade * ground(x, y) };
+        let shade = if objects.iter().any(shadow) { 0.6 } else { 1.0 };
+        let value = if objects.iter().any(|object| is_of(&object)) { 190.0 } else { shade * ground(x, y) };
         let noisy = value * brightness + rng.random_range(-3.0..3.0);
         Rgb([noisy as u8; 3])
     })
 }
 
-fn detected(things: &[Thing], brightness: fn(u32) -> f64) -> Vec<MovingObject> {
+fn detected(objects: &[Object], brightness: fn(u32) -> f64) -> Vec<MovingObject> {
     let views = views();
     let times_s: Vec<f64> = (0..NUM_FRAMES).map(|k| STEP_S * f64::from(k)).collect();
     let surroundings = Surroundings { size: SIZE, times_s: &times_s, views: &views, ground: None };
     let mut detector = DifferenceDetector::new(surroundings);
     for (frame, view) in (0..NUM_FRAMES).zip(views.iter().flatten()) {
-        // Every third frame is looked at.
+        // Every third frame is compared.
         if frame % 3 == 0 || frame + 1 == NUM_FRAMES {
-            detector.push(frame, &picture(view, frame, things, brightness(frame))).unwrap();
+            detector.push(frame, &image(view, frame, objects, brightness(frame))).unwrap();
         }
     }
     detector.finish().unwrap()
@@ -79,7 +79,7 @@ fn driving(frame: u32) -> [f64; 2] {
     [-0.25 + 0.012 * f64::from(frame), 0.05]
 }
 
-fn standing(_: u32) -> [f64; 2] {
+fn stationary(_: u32) -> [f64; 2] {
     [0.2, -0.1]
 }
 
@@ -88,8 +88,8 @@ fn swaying(frame: u32) -> [f64; 2] {
 }
 
 #[test]
-fn a_small_car_is_found_in_every_frame_and_nothing_else() {
-    let found = detected(&[(driving, CAR), (standing, CAR), (swaying, CAR)], |_| 1.0);
+fn only_a_small_moving_car_is_detected_in_every_frame() {
+    let found = detected(&[(driving, CAR), (stationary, CAR), (swaying, CAR)], |_| 1.0);
     assert_eq!(found.len(), 1, "{found:?}");
     assert!(found[0].confidence > 0.99);
     assert_eq!(found[0].boxes.keys().copied().collect::<Vec<_>>(), (0..NUM_FRAMES).collect::<Vec<_>>());
@@ -104,12 +104,12 @@ fn a_small_car_is_found_in_every_frame_and_nothing_else() {
 }
 
 #[test]
-fn brightness_that_changes_moves_nothing() {
-    assert_eq!(detected(&[(standing, CAR)], |frame| if frame < 20 { 1.0 } else { 0.7 }), []);
+fn a_change_of_brightness_is_no_motion() {
+    assert_eq!(detected(&[(stationary, CAR)], |frame| if frame < 20 { 1.0 } else { 0.7 }), []);
 }
 
 #[test]
-fn no_frames_show_nothing() {
+fn frames_without_cameras_have_no_objects() {
     let surroundings = Surroundings { size: SIZE, times_s: &[], views: &[], ground: None };
     let mut detector = DifferenceDetector::new(surroundings);
     detector.push(0, &RgbImage::new(SIZE.0, SIZE.1)).unwrap();

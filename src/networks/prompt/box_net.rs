@@ -1,16 +1,17 @@
 //! Masks of boxes by the program's own small network (`models/box_masks.md`): one crop per box, one run per crop.
 //!
-//! In: crop [1, 4, 128, 128]: RGB, (v − 128) / 64, and a box channel: 1 in the box, 0 around it, −1 beyond the border
-//! of the frame. Out: logits [1, 1, 128, 128] and the expected overlap with the truth, [1, 1]. The box lies in the
-//! middle of its crop, which has [`MARGIN`] times its sides; `models/make/box_masks/crops.py` has the same geometry.
+//! Input: crop [1, 4, 128, 128]: RGB, (v − 128) / 64, and a box channel: 1 in the box, 0 around it, −1 beyond the
+//! border of the frame. Output: logits [1, 1, 128, 128] and the expected overlap with the truth, [1, 1]. The box is in
+//! the center of its crop, whose sides are [`MARGIN`] times as long; `models/make/box_masks/crops.py` has the same
+//! geometry.
 
 use std::path::Path;
 
 use ::image::{Rgb, RgbImage};
 
-use super::local::Local;
+use super::local::LocalMask;
 use super::options::{CONFIRMED_OVERLAP, MASK_MARGIN, PromptOptions};
-use super::outline::one_part;
+use super::outline::largest_component;
 use super::window::Window;
 use super::{BoxMask, BoxSegmenter, agreement, fills, visible};
 use crate::ffi::onnx::{Model, Resources, Tensor};
@@ -21,20 +22,22 @@ use crate::scene::{Mask, Rect};
 
 /// Side of the input and of the logits, pixels.
 const SIDE: usize = 128;
-/// Sides of a crop over those of its box.
+/// Ratio of the sides of a crop to those of its box.
 const MARGIN: f64 = 1.5;
-/// A side of the box counts for at least the other one over this.
+/// Maximum aspect ratio of a crop: its shorter side is at least the longer one over this.
 const MAX_STRETCH: f64 = 2.0;
-/// Value of a pixel that is zero in the input, (v − `MEAN`) / `SCALE`.
+/// Pixel value that is zero in the input, (v − `MEAN`) / `SCALE`.
 const MEAN: f32 = 128.0;
-/// Range of pixel values that is one unit of the input.
+/// Difference of pixel values that is one unit of the input.
 const SCALE: f32 = 64.0;
 
-/// Loads the network. `resources` is what it may take, or a number of threads; 0 is one per core.
+/// Loads the network.
+///
+/// * `resources` – resource limits, or a number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::Option`] for invalid options; [`PerceptionError::UnknownLayout`] if inputs or outputs are others;
-/// errors of the runtime say how to get it.
+/// [`PerceptionError::Option`] for invalid options; [`PerceptionError::UnknownLayout`] for other inputs or outputs;
+/// errors of the runtime describe its installation.
 pub fn load_small_box_segmenter(
     path: &Path,
     options: &PromptOptions,
@@ -55,7 +58,7 @@ pub fn load_small_box_segmenter(
     ))
 }
 
-/// The network, ready to run.
+/// Loaded network with its options.
 struct BoxNet {
     model: Model,
     options: PromptOptions,
@@ -72,29 +75,31 @@ impl BoxSegmenter for BoxNet {
 }
 
 impl BoxNet {
-    /// The object in a box. Where the network is sure of an object that the box fits loosely, as boxes of motion do, it
-    /// is asked again with the box of its own mask.
+    /// Segments the object in a box.
+    ///
+    /// If the mask has a high quality but the box is loose, as boxes of motion are, a second run is prompted with the
+    /// bounding box of the mask.
     fn segment(&mut self, image: &RgbImage, rect: &Rect) -> Result<Option<BoxMask>, PerceptionError> {
         let frame = image.dimensions();
-        let Some(first) = self.answer(image, rect)? else { return Ok(None) };
+        let Some(first) = self.predict(image, rect)? else { return Ok(None) };
         let (fits, min_quality) = (agreement(&first.rect, rect), self.options.min_quality);
         if first.quality * fits >= min_quality {
-            return Ok(fills(&first.local.mask, rect).then(|| first.judged(fits, frame)));
+            return Ok(fills(&first.local.mask, rect).then(|| first.box_mask(fits, frame)));
         }
         if first.quality < min_quality {
             return Ok(None);
         }
         let tight = first.rect;
-        let Some(second) = self.answer(image, &tight)? else { return Ok(None) };
+        let Some(second) = self.predict(image, &tight)? else { return Ok(None) };
         let fits = agreement(&second.rect, &tight) * fits.sqrt();
-        let first = first.judged(1.0, frame).mask;
+        let first = first.box_mask(1.0, frame).mask;
         let passes = fills(&second.local.mask, &tight) && second.quality * fits >= min_quality;
-        let found = second.judged(fits, frame);
+        let found = second.box_mask(fits, frame);
         Ok(Some(found).filter(|found| passes && found.mask.iou(&first) >= CONFIRMED_OVERLAP))
     }
 
-    /// Runs the network on the crop of a box; `None` where there is nothing.
-    fn answer(&mut self, image: &RgbImage, rect: &Rect) -> Result<Option<Answer>, PerceptionError> {
+    /// Runs the network on the crop of a box; `None` for an empty box or an empty mask.
+    fn predict(&mut self, image: &RgbImage, rect: &Rect) -> Result<Option<Prediction>, PerceptionError> {
         let Some(crop) = Crop::of(rect) else { return Ok(None) };
         let Some(window) = Window::of_pixels(&rect.grown(MASK_MARGIN), image.dimensions()) else {
             return Ok(None);
@@ -109,29 +114,29 @@ impl BoxNet {
                 return Err(PerceptionError::output(&self.model, found.map(|tensor| tensor.shape), expected));
             }
         };
-        let mask = one_part(&crop.marked(&logits, window));
-        let local = Local { window, mask };
+        let mask = largest_component(&crop.mask_in(&logits, window));
+        let local = LocalMask { window, mask };
         let quality = if quality.is_finite() { quality.clamp(0.0, 1.0) } else { 0.0 };
-        Ok(local.rect().map(|rect| Answer { local, rect, quality }))
+        Ok(local.rect().map(|rect| Prediction { local, rect, quality }))
     }
 }
 
-/// The network's answer for one box.
-struct Answer {
-    local: Local,
-    /// Box of the mask.
+/// Output of the network for one box.
+struct Prediction {
+    local: LocalMask,
+    /// Bounding box of the mask in the frame.
     rect: Rect,
     /// Expected overlap with the truth.
     quality: f64,
 }
 
-impl Answer {
-    fn judged(&self, fits: f64, frame: (u32, u32)) -> BoxMask {
+impl Prediction {
+    fn box_mask(&self, fits: f64, frame: (u32, u32)) -> BoxMask {
         BoxMask { mask: self.local.in_frame(frame), quality: self.quality * fits }
     }
 }
 
-/// The part of the plane of the frame that the network sees; whole pixels, maybe beyond the border.
+/// Input region of the network in whole pixels of the frame; it may extend beyond the border.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Crop {
     x0: i64,
@@ -141,7 +146,7 @@ struct Crop {
 }
 
 impl Crop {
-    /// The crop around a box; `None` for a box of no area.
+    /// Crop around a box; `None` for a box without area.
     fn of(rect: &Rect) -> Option<Self> {
         let (width, height) = (rect.width(), rect.height());
         if !(width > 0.0 && height > 0.0) {
@@ -158,13 +163,13 @@ impl Crop {
         Some(Self { x0, y0, width, height })
     }
 
-    /// A position in the frame, as a position in the input.
+    /// Converts a position in the frame to the input.
     fn input_from_frame(&self, x: f64, y: f64) -> [f64; 2] {
         let along = |at: f64, first: i64, length: u32| (at - first as f64) * SIDE as f64 / f64::from(length);
         [along(x, self.x0, self.width), along(y, self.y0, self.height)]
     }
 
-    /// The input for a box.
+    /// Input tensor of a box.
     fn tensor(&self, image: &RgbImage, rect: &Rect) -> Result<Tensor, PerceptionError> {
         let mut part = RgbImage::from_pixel(self.width, self.height, Rgb([PAD; 3]));
         ::image::imageops::replace(&mut part, image, -self.x0, -self.y0);
@@ -190,8 +195,8 @@ impl Crop {
         Ok(tensor)
     }
 
-    /// The pixels of a part of the frame at whose centers the logits are positive.
-    fn marked(&self, logits: &[f32], window: Window) -> Mask {
+    /// Mask of the pixels of a window at whose centers the logits are positive.
+    fn mask_in(&self, logits: &[f32], window: Window) -> Mask {
         let plane = Plane { width: SIDE, height: SIDE, values: logits };
         Mask::from_fn(window.width, window.height, |x, y| {
             let [u, v] = self.input_from_frame(f64::from(window.x0 + x) + 0.5, f64::from(window.y0 + y) + 0.5);
@@ -208,19 +213,19 @@ mod tests {
     const RECT: Rect = Rect { x0: 40.0, y0: 30.0, x1: 72.0, y1: 46.0 };
 
     #[test]
-    fn a_box_lies_in_the_middle_of_its_crop() {
+    fn a_box_is_in_the_center_of_its_crop() {
         let crop = Crop::of(&RECT).unwrap();
         assert_eq!(crop, Crop { x0: 32, y0: 26, width: 48, height: 24 });
         let [x, y] = crop.input_from_frame(56.0, 38.0);
         assert!((x - 64.0).abs() < 1e-9 && (y - 64.0).abs() < 1e-9, "{x}, {y}");
-        // A long box is stretched by two at most.
+        // The aspect ratio of a crop is limited to two.
         let long = Crop::of(&Rect { x1: 136.0, ..RECT }).unwrap();
         assert_eq!((long.width, long.height), (144, 72));
         assert_eq!(Crop::of(&Rect { x1: 40.0, ..RECT }), None);
     }
 
     #[test]
-    fn the_box_channel_tells_the_box_from_its_surroundings_and_from_what_is_no_image() {
+    fn the_box_channel_encodes_the_box_its_surroundings_and_the_region_beyond_the_image() {
         let image = RgbImage::from_pixel(68, 100, Rgb([192, 128, 64]));
         let rect = Rect { x1: 68.0, ..RECT };
         let crop = Crop::of(&rect).unwrap();
@@ -245,7 +250,7 @@ mod tests {
             })
             .collect();
         let window = Window::of_pixels(&RECT.grown(0.3), (200, 200)).unwrap();
-        let local = Local { window, mask: crop.marked(&logits, window) };
+        let local = LocalMask { window, mask: crop.mask_in(&logits, window) };
         assert_eq!(local.rect(), Some(RECT));
     }
 }

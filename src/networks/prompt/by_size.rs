@@ -1,4 +1,4 @@
-//! Two segmenters, each for the boxes of which it draws better masks.
+//! Selection between two segmenters by the size of the box.
 
 use ::image::RgbImage;
 
@@ -6,29 +6,29 @@ use super::{BoxMask, BoxSegmenter};
 use crate::networks::PerceptionError;
 use crate::scene::Rect;
 
-/// Longer side of a box, pixels, below which the small network is asked: on rendered vehicles of 17 pixels its IoU with
-/// the truth is 0.93 instead of 0.87 (`models/box_masks.md`). With 40 real clips lose a fifth of their masks.
+/// Maximum longer side of a box for the small network, pixels: on rendered vehicles of 17 pixels its IoU with the truth
+/// is 0.93 instead of 0.87 (`models/box_masks.md`). With 40 real clips lose a fifth of their masks.
 const SMALL_PX: f64 = 20.0;
 
-/// Asks one segmenter for the masks of small boxes and another for those of large ones.
+/// Segmenter that uses one segmenter for small boxes and another for large ones.
 pub struct BySize {
-    /// For small boxes.
+    /// Segmenter for small boxes.
     pub small: Box<dyn BoxSegmenter>,
-    /// For large ones.
+    /// Segmenter for large boxes.
     pub large: Box<dyn BoxSegmenter>,
 }
 
 impl BoxSegmenter for BySize {
     fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
-        let mut answers = vec![None; boxes.len()];
+        let mut masks = vec![None; boxes.len()];
         for (segmenter, is_small) in [(&mut self.small, true), (&mut self.large, false)] {
             let own: Vec<usize> = (0..boxes.len()).filter(|&k| (boxes[k].extent_px() < SMALL_PX) == is_small).collect();
             if !own.is_empty() {
-                let asked: Vec<Rect> = own.iter().map(|&k| boxes[k]).collect();
-                own.into_iter().zip(segmenter.masks(image, &asked)?).for_each(|(k, answer)| answers[k] = answer);
+                let prompts: Vec<Rect> = own.iter().map(|&k| boxes[k]).collect();
+                own.into_iter().zip(segmenter.masks(image, &prompts)?).for_each(|(k, mask)| masks[k] = mask);
             }
         }
-        Ok(answers)
+        Ok(masks)
     }
 
     fn is_coarse(&self) -> bool {
@@ -41,15 +41,15 @@ mod tests {
     use super::*;
     use crate::scene::Mask;
 
-    /// Answers every box that is wider than the second number with the first as quality.
-    struct Stated(f64, f64);
+    /// Segmenter with a fixed quality (first) for boxes wider than a limit (second).
+    struct FixedQuality(f64, f64);
 
-    impl BoxSegmenter for Stated {
+    impl BoxSegmenter for FixedQuality {
         fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
             let (width, height) = image.dimensions();
             let mask = |rect: &Rect| Mask::from_fn(width, height, |x, y| rect.contains(x.into(), y.into()));
-            let answer = |rect: &Rect| (rect.width() > self.1).then(|| BoxMask { mask: mask(rect), quality: self.0 });
-            Ok(boxes.iter().map(answer).collect())
+            let box_mask = |rect: &Rect| (rect.width() > self.1).then(|| BoxMask { mask: mask(rect), quality: self.0 });
+            Ok(boxes.iter().map(box_mask).collect())
         }
 
         fn is_coarse(&self) -> bool {
@@ -58,11 +58,11 @@ mod tests {
     }
 
     #[test]
-    fn each_box_has_the_answer_of_the_segmenter_for_its_size() {
-        let mut by_size = BySize { small: Box::new(Stated(0.1, 12.0)), large: Box::new(Stated(0.9, 5.0)) };
+    fn each_box_has_the_mask_of_the_segmenter_for_its_size() {
+        let mut by_size = BySize { small: Box::new(FixedQuality(0.1, 12.0)), large: Box::new(FixedQuality(0.9, 5.0)) };
         let boxes = [60.0, 10.0, 19.0, 21.0, 4.0].map(|side| Rect { x0: 0.0, y0: 0.0, x1: side, y1: 3.0 });
-        let answers = by_size.masks(&RgbImage::new(80, 20), &boxes).unwrap();
-        let found: Vec<Option<f64>> = answers.into_iter().map(|answer| answer.map(|answer| answer.quality)).collect();
+        let masks = by_size.masks(&RgbImage::new(80, 20), &boxes).unwrap();
+        let found: Vec<Option<f64>> = masks.into_iter().map(|mask| mask.map(|mask| mask.quality)).collect();
         assert_eq!(found, [Some(0.9), None, Some(0.1), Some(0.9), None]);
         assert!(by_size.masks(&RgbImage::new(80, 20), &[]).unwrap().is_empty());
     }

@@ -1,4 +1,4 @@
-//! Masks that an instance segmentation network found, as answers to box prompts.
+//! Masks of an instance segmentation network, as results of box prompts.
 
 use ::image::RgbImage;
 
@@ -6,17 +6,17 @@ use super::{BoxMask, BoxSegmenter};
 use crate::networks::PerceptionError;
 use crate::scene::{Detection, Mask, Rect};
 
-/// A mask whose box overlaps the prompt by less (intersection over union) shows another object.
+/// Minimum IoU of a mask's bounding box with the box prompt.
 const MIN_OVERLAP: f64 = 0.5;
 
-/// Answers with the masks of one frame.
+/// Segmenter that returns the known masks of one frame.
 #[derive(Clone, Debug, Default)]
 pub struct KnownMasks {
     masks: Vec<(Rect, Mask)>,
 }
 
 impl KnownMasks {
-    /// The masks of a frame; detections without a pixel are left out.
+    /// Segmenter with the masks of a frame; detections with empty masks are skipped.
     pub fn new(detections: Vec<Detection>) -> Self {
         let known = |found: Detection| Some((Rect::from(found.mask.bounding_box()?), found.mask));
         Self { masks: detections.into_iter().filter_map(known).collect() }
@@ -24,14 +24,14 @@ impl KnownMasks {
 }
 
 impl BoxSegmenter for KnownMasks {
-    /// The mask whose box agrees best with the prompt. The network states no quality: it counts as 1.
+    /// Returns the mask with the largest IoU of its bounding box. The quality is 1, since the network gives none.
     fn masks(&mut self, _: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError> {
-        let answer = |asked: &Rect| {
-            let overlaps = self.masks.iter().map(|(rect, mask)| (rect.iou(asked), mask));
+        let best_mask = |prompt: &Rect| {
+            let overlaps = self.masks.iter().map(|(rect, mask)| (rect.iou(prompt), mask));
             let best = overlaps.filter(|(overlap, _)| *overlap >= MIN_OVERLAP).max_by(|a, b| a.0.total_cmp(&b.0));
             best.map(|(_, mask)| BoxMask { mask: mask.clone(), quality: 1.0 })
         };
-        Ok(boxes.iter().map(answer).collect())
+        Ok(boxes.iter().map(best_mask).collect())
     }
 
     fn is_coarse(&self) -> bool {

@@ -1,23 +1,23 @@
-//! A mask of a part of the frame.
+//! Masks of a window of the frame.
 
 use super::window::Window;
 use crate::scene::{Mask, Rect};
 
-/// A mask of a part of the frame.
-pub(super) struct Local {
+/// Mask of a window of the frame.
+pub(super) struct LocalMask {
     pub(super) window: Window,
     pub(super) mask: Mask,
 }
 
-impl Local {
-    /// The box round its pixels, in the frame.
+impl LocalMask {
+    /// Bounding box in the frame.
     pub(super) fn rect(&self) -> Option<Rect> {
         let inner = Rect::from(self.mask.bounding_box()?);
         let [x, y] = [self.window.x0, self.window.y0].map(f64::from);
         Some(inner.moved([x, y]))
     }
 
-    /// The same pixels in the whole frame.
+    /// Mask in the full frame.
     pub(super) fn in_frame(&self, (width, height): (u32, u32)) -> Mask {
         let mut all = Mask::empty(width, height);
         self.mask.iter().for_each(|(x, y)| all.set(self.window.x0 + x, self.window.y0 + y));

@@ -1,28 +1,31 @@
-//! Masks of boxes by MobileSAM (Zhang et al., *Faster Segment Anything*, 2023) or a network of its form: an encoder
-//! looks at a part of the frame, a decoder says what the object in a box is.
+//! Masks of boxes by MobileSAM (Zhang et al., *Faster Segment Anything*, 2023) or a network with the same interface.
 //!
-//! Encoder: image [1, 3, H, W], RGB, (v − mean) / std, H and W multiples of 16, black beyond the picture's mean where
-//! the part does not fill it; out: embedding [1, c, H/16, W/16]. Decoder: the embedding; points [1, 2, 2], corners of
-//! the box in pixels of the input whose first centre is at 0; labels [1, 2], 2 and 3 (the first corner, the second);
-//! out: logits [1, m, H/4, W/4] and the overlap that the network expects of each, [1, m].
+//! An encoder embeds a window of the frame, and a decoder predicts the mask of the object in a box.
 //!
-//! **Where it looks.** What is small in the input is found badly, so that the part is a few times as large as the box;
-//! boxes that lie in one and are not too small for it share it (`window`), for the encoder takes nearly all the time.
+//! Encoder: image [1, 3, H, W], RGB, (v − mean) / std, H and W multiples of 16, zero where the window does not fill it;
+//! output: embedding [1, c, H/16, W/16]. Decoder: the embedding; points [1, 2, 2], corners of the box in pixels of the
+//! input, the center of the first pixel at 0; labels [1, 2], 2 and 3 (first and second corner); output: logits [1, m,
+//! H/4, W/4] and the expected overlap of each mask, [1, m].
 //!
-//! **Which mask.** The network offers several, from a part of the object to all that moves with it, and its own figures
-//! often prefer the part. The box knows better. A mask's quality is the product of its expected overlap, of its
-//! stability (the overlap of what two thresholds of the logits mark, one above and one below zero), and of how well its
-//! own bounding box agrees with the box asked for. The mask of the highest quality is taken. Masks of what is no
-//! object, a piece of road between two shadows, are expected to be good now and then, but they are rarely stable.
+//! **Window.** Objects that are small in the input are segmented badly, so the window is only a few times as large as
+//! the box. Boxes inside a window that are not too small for it share it (`window`), since the encoder takes nearly all
+//! of the time.
+//!
+//! **Selection of the mask.** The network predicts several masks, from a part of the object to everything that moves
+//! with it, and its expected overlap often prefers the part. The box is the better criterion. The quality of a mask is
+//! the product of its expected overlap, of its stability (the IoU of the masks at two thresholds of the logits, one
+//! above and one below zero), and of the agreement of its bounding box with the box prompt. The mask of the highest
+//! quality is selected. Masks of no object, such as a piece of road between two shadows, may have a high expected
+//! overlap, but they are rarely stable.
 
 use std::path::Path;
 
 use ::image::RgbImage;
 
-use super::local::Local;
+use super::local::LocalMask;
 use super::options::{CONFIRMED_OVERLAP, MASK_MARGIN, PromptOptions};
-use super::outline::one_part;
-use super::window::{Placement, Share, Window, shares};
+use super::outline::largest_component;
+use super::window::{Placement, SharedWindow, Window, shared_windows};
 use super::{BoxMask, BoxSegmenter, agreement, fills, visible};
 use crate::ffi::onnx::{Model, Resources, Tensor, TensorInfo};
 use crate::networks::PerceptionError;
@@ -30,20 +33,22 @@ use crate::networks::description::Preprocessing;
 use crate::networks::tensor::{Plane, tensor_from_image};
 use crate::scene::{Mask, Rect};
 
-/// Pixels of the input along one side of a cell of the logits.
+/// Side of a cell of the logits, pixels of the input.
 const LOGIT_STEP: f64 = 4.0;
-/// A mask is stable as far as a threshold for its logits that is raised or lowered by so much gives the same one.
+/// Offset of the two thresholds of the logits between which the stability of a mask is measured.
 const STABILITY_OFFSET: f32 = 1.0;
-/// A mask of this quality is worth asking again for, in the box round it.
+/// Minimum quality of a mask for a second prompt with its bounding box.
 const LOOSE_QUALITY: f64 = 0.5;
-/// Of what the network marks round the box, at least this much lies within its margin.
+/// Minimum share of the mask's area in the whole input that is within the margin of the box.
 const MIN_INSIDE: f64 = 0.8;
 
-/// Loads the two parts of the network. `resources` is what each may take, or a number of threads; 0 is one per core.
+/// Loads the encoder and the decoder.
+///
+/// * `resources` – resource limits of each part, or a number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] names the part whose
-/// inputs and outputs are others; errors of the runtime say how to get it.
+/// [`PerceptionError::Option`] for invalid options; [`PerceptionError::UnknownLayout`] for a part with other inputs or
+/// outputs; errors of the runtime describe its installation.
 pub fn load_box_segmenter(
     encoder: &Path,
     decoder: &Path,
@@ -82,7 +87,7 @@ fn refuse_unless(fits: bool, model: &Model, supported: &'static str) -> Result<(
     Err(PerceptionError::unknown_layout(model, "box mask", supported))
 }
 
-/// Both parts of the network, ready to run.
+/// Loaded encoder and decoder with their options.
 struct MobileSam {
     encoder: Model,
     decoder: Model,
@@ -94,7 +99,7 @@ impl BoxSegmenter for MobileSam {
         let frame = image.dimensions();
         let boxes: Vec<Rect> = boxes.iter().map(|rect| visible(rect, frame)).collect();
         let mut found = vec![None; boxes.len()];
-        for Share { window, boxes: inside } in shares(&boxes, frame, &self.options) {
+        for SharedWindow { window, boxes: inside } in shared_windows(&boxes, frame, &self.options) {
             let (embedding, placement) = self.encode(image, window)?;
             for b in inside {
                 found[b] = self.segment(&embedding, &placement, &boxes[b], frame)?;
@@ -109,7 +114,7 @@ impl BoxSegmenter for MobileSam {
 }
 
 impl MobileSam {
-    /// Looks at a part of the frame.
+    /// Encodes a window of the frame.
     fn encode(&mut self, image: &RgbImage, window: Window) -> Result<(Tensor, Placement), PerceptionError> {
         let placement = Placement::new(window, self.options.input_size);
         let pixels = tensor_from_image(&placement.pixels(image, window)?, &imagenet());
@@ -120,8 +125,10 @@ impl MobileSam {
         }
     }
 
-    /// The object in a box. A box that is too large for what is clearly in it, as those of motion are, is drawn
-    /// tighter, and the question asked again.
+    /// Segments the object in a box.
+    ///
+    /// If the box is too large for a clear mask in it, as boxes of motion are, a second run is prompted with the
+    /// bounding box of the mask.
     fn segment(
         &mut self,
         embedding: &Tensor,
@@ -129,22 +136,22 @@ impl MobileSam {
         rect: &Rect,
         frame: (u32, u32),
     ) -> Result<Option<BoxMask>, PerceptionError> {
-        let answers = self.decode(embedding, placement, rect)?;
-        if let Some(found) = best(&answers, placement, rect, frame, &self.options) {
+        let outputs = self.decode(embedding, placement, rect)?;
+        if let Some(found) = best(&outputs, placement, rect, frame, &self.options) {
             return Ok(Some(found));
         }
         let loose = PromptOptions { min_quality: LOOSE_QUALITY.min(self.options.min_quality), ..self.options.clone() };
-        let Some(first) = best(&answers, placement, rect, frame, &loose) else { return Ok(None) };
+        let Some(first) = best(&outputs, placement, rect, frame, &loose) else { return Ok(None) };
         let Some(tight) = first.mask.bounding_box().map(Rect::from) else { return Ok(None) };
-        let answers = self.decode(embedding, placement, &tight)?;
-        let second = best(&answers, placement, &tight, frame, &self.options);
+        let outputs = self.decode(embedding, placement, &tight)?;
+        let second = best(&outputs, placement, &tight, frame, &self.options);
         let lost = agreement(&tight, rect).sqrt();
         let confirmed = second.filter(|second| second.mask.iou(&first.mask) >= CONFIRMED_OVERLAP);
         let judged = confirmed.map(|second| BoxMask { quality: second.quality * lost, ..second });
         Ok(judged.filter(|found| found.quality >= self.options.min_quality))
     }
 
-    /// Asks for the object in a box.
+    /// Runs the decoder with a box prompt.
     fn decode(
         &mut self,
         embedding: &Tensor,
@@ -154,7 +161,7 @@ impl MobileSam {
         let corners = [[rect.x0, rect.y0], [rect.x1, rect.y1]];
         let values = corners.map(|[x, y]| placement.input_from_frame(x, y).map(|v| (v - 0.5) as f32)).concat();
         let points = Tensor { shape: vec![1, 2, 2], values };
-        // Those of a box's first corner and its second.
+        // Labels of the first and second corner of a box.
         let labels = Tensor { shape: vec![1, 2], values: vec![2.0, 3.0] };
         let mut outputs = self.decoder.run(&[embedding.clone(), points, labels])?.into_iter();
         let (Some(masks), Some(scores)) = (outputs.next(), outputs.next()) else {
@@ -170,7 +177,7 @@ impl MobileSam {
     }
 }
 
-/// RGB with ImageNet's mean and deviation.
+/// RGB with the mean and standard deviation of ImageNet.
 fn imagenet() -> Preprocessing {
     Preprocessing {
         mean: [123.675, 116.28, 103.53],
@@ -199,32 +206,33 @@ fn wrong_output(model: &Model, found: Option<Tensor>, expected: &str) -> Percept
 
 /// Outputs of the decoder for one box.
 struct DecoderOutputs {
-    /// Width and height of a mask's logits, cells.
+    /// Width of a mask's logits, cells.
     width: usize,
+    /// Height of a mask's logits, cells.
     height: usize,
-    /// One mask after the other.
+    /// Logits of all masks, one mask after the other.
     logits: Vec<f32>,
-    /// One per mask.
+    /// Expected overlap of each mask.
     scores: Vec<f32>,
 }
 
-/// The mask of the highest quality that passes all gates.
+/// Mask of the highest quality that passes all tests.
 fn best(
-    answers: &DecoderOutputs,
+    outputs: &DecoderOutputs,
     placement: &Placement,
     rect: &Rect,
     frame: (u32, u32),
     options: &PromptOptions,
 ) -> Option<BoxMask> {
-    let mut best: Option<Offer> = None;
-    let planes = answers.logits.chunks_exact(answers.width * answers.height);
-    for (values, &score) in planes.zip(&answers.scores) {
-        let plane = Plane { width: answers.width, height: answers.height, values };
+    let mut best: Option<Candidate> = None;
+    let planes = outputs.logits.chunks_exact(outputs.width * outputs.height);
+    for (values, &score) in planes.zip(&outputs.scores) {
+        let plane = Plane { width: outputs.width, height: outputs.height, values };
         let quality = f64::from(score).clamp(0.0, 1.0) * stability(&plane);
-        // It only falls by how well the mask fits its box, which takes most of the time to find out.
+        // An upper bound: the agreement with the box only lowers it, and takes most of the time to compute.
         let is_worse = best.as_ref().is_some_and(|best| quality <= best.quality);
         if quality >= options.min_quality && !is_worse {
-            let next = offer(&plane, quality, placement, rect, frame, options);
+            let next = candidate(&plane, quality, placement, rect, frame, options);
             best = match (best, next) {
                 (Some(best), Some(next)) if next.quality <= best.quality => Some(best),
                 (best, next) => next.or(best),
@@ -234,44 +242,46 @@ fn best(
     best.map(|best| BoxMask { mask: best.mask.in_frame(frame), quality: best.quality })
 }
 
-/// One mask that could be the object's.
-struct Offer {
-    mask: Local,
+/// Candidate mask of the object.
+struct Candidate {
+    mask: LocalMask,
     quality: f64,
 }
 
-/// The mask that a plane of logits says, if it passes the gates: enough of what is marked lies at the box, it fills
-/// neither too little nor too much of it, and its quality suffices.
+/// Mask of a plane of logits, if it passes the tests.
 ///
-/// * `quality` – of a mask that fits its box.
-fn offer(
+/// Enough of its area must be within the margin of the box, its area relative to the box must be in range, and its
+/// quality must suffice.
+///
+/// * `quality` – quality without the agreement with the box.
+fn candidate(
     plane: &Plane<'_>,
     quality: f64,
     placement: &Placement,
     rect: &Rect,
     frame: (u32, u32),
     options: &PromptOptions,
-) -> Option<Offer> {
+) -> Option<Candidate> {
     let window = Window::of_pixels(&rect.grown(MASK_MARGIN), frame)?;
-    let marked = marked(plane, placement, window);
-    let marked_px2 = marked.area_px2() as f64;
-    let local = Local { window, mask: one_part(&marked) };
+    let in_window = mask_in(plane, placement, window);
+    let inside_px2 = in_window.area_px2() as f64;
+    let local = LocalMask { window, mask: largest_component(&in_window) };
     let quality = quality * agreement(&local.rect()?, rect);
-    let passes = marked_px2 >= MIN_INSIDE * everywhere_px2(plane, placement)
+    let passes = inside_px2 >= MIN_INSIDE * everywhere_px2(plane, placement)
         && fills(&local.mask, rect)
         && quality >= options.min_quality;
-    passes.then_some(Offer { mask: local, quality })
+    passes.then_some(Candidate { mask: local, quality })
 }
 
-/// The pixels of a part of the frame at whose centres the logits are positive.
-fn marked(plane: &Plane<'_>, placement: &Placement, window: Window) -> Mask {
+/// Mask of the pixels of a window at whose centers the logits are positive.
+fn mask_in(plane: &Plane<'_>, placement: &Placement, window: Window) -> Mask {
     Mask::from_fn(window.width, window.height, |x, y| {
         let [u, v] = placement.input_from_frame(f64::from(window.x0 + x) + 0.5, f64::from(window.y0 + y) + 0.5);
         plane.sample((u / LOGIT_STEP) as f32, (v / LOGIT_STEP) as f32) > 0.0
     })
 }
 
-/// The overlap of what a threshold above and one below zero mark, 0 to 1.
+/// IoU of the masks at a threshold above and one below zero, 0 to 1.
 fn stability(plane: &Plane<'_>) -> f64 {
     let above = |threshold: f32| plane.values.iter().filter(|&&logit| logit > threshold).count() as f64;
     above(STABILITY_OFFSET) / above(-STABILITY_OFFSET).max(1.0)
@@ -290,13 +300,13 @@ mod tests {
     const FRAME: (u32, u32) = (400, 300);
     const BOX: Rect = Rect { x0: 180.0, y0: 140.0, x1: 220.0, y1: 160.0 };
 
-    /// Where the box is looked at: four pixels of the input per pixel of the frame, so that a cell is a pixel.
+    /// Placement of the window: four pixels of the input per pixel of the frame, so a cell is a pixel.
     fn placement() -> Placement {
         Placement::new(Window { x0: 144, y0: 94, width: 112, height: 112 }, 448)
     }
 
-    /// The answer whose logits have a value per pixel of the frame.
-    fn answer(logit: impl Fn(f64, f64) -> f32, score: f32) -> DecoderOutputs {
+    /// Outputs with one logit per pixel of the frame.
+    fn output(logit: impl Fn(f64, f64) -> f32, score: f32) -> DecoderOutputs {
         let at = |cell: usize| logit(144.5 + (cell % 112) as f64, 94.5 + (cell / 112) as f64);
         DecoderOutputs { width: 112, height: 112, logits: (0..112 * 112).map(at).collect(), scores: vec![score] }
     }
@@ -305,13 +315,13 @@ mod tests {
         move |x, y| if rect.contains(x, y) { 5.0 } else { -5.0 }
     }
 
-    fn judged(answers: &DecoderOutputs) -> Option<BoxMask> {
-        best(answers, &placement(), &BOX, FRAME, &PromptOptions::default())
+    fn judged(outputs: &DecoderOutputs) -> Option<BoxMask> {
+        best(outputs, &placement(), &BOX, FRAME, &PromptOptions::default())
     }
 
     #[test]
-    fn a_mask_that_fits_its_box_keeps_its_place_in_the_frame() {
-        let found = judged(&answer(inside(BOX), 0.9)).unwrap();
+    fn a_mask_that_fits_its_box_has_its_position_in_the_frame() {
+        let found = judged(&output(inside(BOX), 0.9)).unwrap();
         let truth = Mask::from_fn(FRAME.0, FRAME.1, |x, y| BOX.contains(f64::from(x) + 0.5, f64::from(y) + 0.5));
         assert_eq!(found.mask, truth);
         assert!((found.quality - 0.9).abs() < 1e-6, "{}", found.quality);
@@ -319,37 +329,37 @@ mod tests {
 
     #[test]
     fn edges_between_cells_are_interpolated() {
-        // The logit falls through zero at x = 200.25, between the centres of two cells.
-        let found = answer(|x, y| if BOX.contains(x, y) { (200.25 - x) as f32 } else { -5.0 }, 1.0);
+        // The logit decreases through zero at x = 200.25, between the centers of two cells.
+        let found = output(|x, y| if BOX.contains(x, y) { (200.25 - x) as f32 } else { -5.0 }, 1.0);
         let plane = Plane { width: 112, height: 112, values: &found.logits };
         let window = Window::of_pixels(&BOX, FRAME).unwrap();
-        let marked = marked(&plane, &placement(), window);
-        assert_eq!(marked.bounding_box().unwrap().x1 + window.x0, 200);
+        let in_window = mask_in(&plane, &placement(), window);
+        assert_eq!(in_window.bounding_box().unwrap().x1 + window.x0, 200);
         assert!(plane.sample(200.25 - 144.0, 150.0 - 94.0).abs() < 1e-4);
     }
 
     #[test]
-    fn gates_keep_out_what_is_no_object() {
+    fn masks_of_no_object_fail_the_tests() {
         let grown = |share: f64| BOX.grown(share);
-        assert_eq!(judged(&answer(inside(BOX), 0.5)), None, "the network expects little");
-        assert_eq!(judged(&answer(inside(grown(1.0)), 1.0)), None, "it leaves the box on all sides");
-        assert_eq!(judged(&answer(inside(grown(-0.2)), 1.0)), None, "it fills too little of the box");
-        assert_eq!(judged(&answer(|_, _| -5.0, 1.0)), None, "there is nothing");
-        assert_eq!(judged(&answer(|_, _| f32::NAN, f32::NAN)), None, "there are no numbers");
-        let unsure = |x: f64, y: f64| if BOX.contains(x, y) { 0.5 } else { -5.0 };
-        assert_eq!(judged(&answer(unsure, 1.0)), None, "it is not stable");
+        assert_eq!(judged(&output(inside(BOX), 0.5)), None, "the network expects little");
+        assert_eq!(judged(&output(inside(grown(1.0)), 1.0)), None, "it leaves the box on all sides");
+        assert_eq!(judged(&output(inside(grown(-0.2)), 1.0)), None, "it fills too little of the box");
+        assert_eq!(judged(&output(|_, _| -5.0, 1.0)), None, "there is nothing");
+        assert_eq!(judged(&output(|_, _| f32::NAN, f32::NAN)), None, "there are no numbers");
+        let unstable = |x: f64, y: f64| if BOX.contains(x, y) { 0.5 } else { -5.0 };
+        assert_eq!(judged(&output(unstable, 1.0)), None, "it is not stable");
     }
 
     #[test]
-    fn the_offer_that_fits_the_box_goes_before_a_part_that_is_expected_to_be_better() {
+    fn the_mask_that_fits_the_box_is_preferred_to_a_part_with_a_higher_expected_overlap() {
         let part = Rect { x1: 200.0, ..BOX };
-        let (whole, part) = (answer(inside(BOX), 0.85), answer(inside(part), 1.0));
+        let (whole, part) = (output(inside(BOX), 0.85), output(inside(part), 1.0));
         let both = DecoderOutputs { logits: [part.logits, whole.logits].concat(), scores: vec![1.0, 0.85], ..whole };
         assert!((judged(&both).unwrap().quality - 0.85).abs() < 1e-6);
     }
 
     #[test]
-    fn what_the_window_does_not_fill_is_zero() {
+    fn the_input_beyond_the_window_is_zero() {
         let pixels = Tensor { shape: vec![1, 3, 1, 2], values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
         let input = padded(&pixels, (3, 2));
         assert_eq!(input.shape, [1, 3, 2, 3]);

@@ -1,4 +1,4 @@
-//! Masks of boxes: which pixels of a box are the object.
+//! Masks of objects from box prompts.
 
 mod box_net;
 mod by_size;
@@ -23,42 +23,43 @@ pub use self::options::PromptOptions;
 use super::PerceptionError;
 use crate::scene::{Mask, Rect};
 
-/// The pixels of one box's object.
+/// Mask of the object in one box, with its quality.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct BoxMask {
-    /// Its pixels, at the frame's resolution.
+    /// Mask at the resolution of the frame.
     pub mask: Mask,
-    /// Mask quality by the segmenter's own estimate: the expected intersection over union, 0 to 1.
+    /// Quality by the segmenter's own estimate: the expected intersection over union with the truth, 0 to 1.
     pub quality: f64,
 }
 
-/// Finds the pixels of objects whose boxes are known.
+/// Promptable segmentation: masks of objects from their boxes.
 pub trait BoxSegmenter {
-    /// One answer per box, in their order; `None` where there is no mask that could be the object's: the box is empty,
-    /// or what was found in it is not trustworthy.
+    /// Segments the object in each box; one result per box, in their order.
+    ///
+    /// `None` where there is no acceptable mask: the box is empty, or the mask fails a quality test.
     ///
     /// # Errors
-    /// When the network cannot be run or answers in a shape that its family does not allow.
+    /// If the network cannot be run, or the shape of its output is not that of its family.
     fn masks(&mut self, image: &RgbImage, boxes: &[Rect]) -> Result<Vec<Option<BoxMask>>, PerceptionError>;
 
-    /// Returns true if the masks are coarse: good for finding the object, not for its outline.
+    /// Returns true if the masks are coarse: sufficient for localization, not for the outline.
     fn is_coarse(&self) -> bool;
 }
 
-/// Boxes that overlap so much agree: those of detectors are off by a tenth of their sides.
+/// IoU from which two boxes agree fully: detected boxes are off by a tenth of their sides.
 const AGREEMENT: f64 = 0.75;
 
-/// Agreement of the box round a mask with the box prompt, 0 to 1.
-fn agreement(found: &Rect, asked: &Rect) -> f64 {
-    (found.iou(asked) / AGREEMENT).min(1.0)
+/// Agreement of the bounding box of a mask with the box prompt, 0 to 1.
+fn agreement(found: &Rect, prompt: &Rect) -> f64 {
+    (found.iou(prompt) / AGREEMENT).min(1.0)
 }
 
-/// Returns true if a mask fills neither too little nor too much of its box.
+/// Returns true if the area of a mask relative to its box is within [`FILL`].
 fn fills(mask: &Mask, rect: &Rect) -> bool {
     FILL.contains(&(mask.area_px2() as f64 / rect.area_px2()))
 }
 
-/// The part of a box that lies in a frame; of no area for one that is not finite.
+/// Part of a box within a frame; an empty box if its coordinates are not finite.
 fn visible(rect: &Rect, frame: (u32, u32)) -> Rect {
     let finite = [rect.x0, rect.y0, rect.x1, rect.y1].iter().all(|side| side.is_finite());
     if finite { rect.clipped(frame.0, frame.1) } else { Rect { x0: 0.0, y0: 0.0, x1: 0.0, y1: 0.0 } }

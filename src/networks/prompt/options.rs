@@ -1,4 +1,4 @@
-//! Limits on the mask of a box, and on its cost.
+//! Options and limits of masks from box prompts.
 
 use std::ops::RangeInclusive;
 
@@ -7,37 +7,37 @@ use serde::{Deserialize, Serialize};
 
 use crate::checks::{Checked, OptionError, within};
 
-/// Sides of the encoder's input are multiples of this: its cells.
+/// Side of a cell of the encoder, of which the sides of its input are multiples, pixels.
 pub(super) const CELL: u32 = 16;
 
-/// A mask reaches beyond its box by at most this much of the box's longer side.
+/// Maximum extent of a mask beyond its box, as a share of the box's longer side.
 pub(super) const MASK_MARGIN: f64 = 0.15;
-/// Overlap of two answers that mean the same object.
+/// Minimum IoU of two masks of the same object.
 pub(super) const CONFIRMED_OVERLAP: f64 = 0.8;
-/// Share of its box that a mask covers, margin included: what fills it altogether is a piece of road or wall.
+/// Range of the area of a mask, margin included, relative to its box: a mask that fills it is a piece of road or wall.
 pub(super) const FILL: RangeInclusive<f64> = 0.2..=1.2;
 
 /// Options of masks of boxes.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields, default)]
 pub struct PromptOptions {
-    /// Longer side of the encoder's input, a multiple of 16. The cost grows with its square. What counts is how
-    /// large the box is in it: below 170 pixels (`input_size` through `window`) the masks get worse quickly.
+    /// Longer side of the encoder's input, a multiple of 16. The cost increases with its square. The quality depends on
+    /// the size of the box in it (`input_size` over `window`): below 170 pixels the masks degrade quickly.
     #[schemars(extend("unit" = "pixels"))]
     pub input_size: u32,
-    /// Side of the window that is encoded for a box prompt, as a multiple of the box's longer side. A larger one leaves
-    /// less of the input to the object.
+    /// Side of the window that is encoded for a box prompt, as a multiple of the box's longer side. In a larger window
+    /// the object has fewer pixels of the input.
     #[schemars(extend("unit" = "longer sides of the box"))]
     pub window: f64,
-    /// No part of the frame that is encoded is smaller than this: what is enlarged further does not get clearer.
+    /// Minimum side of the window that is encoded: further enlargement adds no detail.
     #[schemars(extend("unit" = "pixels"))]
     pub min_window: u32,
-    /// Boxes may share a part of the frame if their longer side is at least this much of its side. 0.4 is about the
-    /// size that a box has in a part of its own; less saves runs of the encoder and costs exactness.
+    /// Minimum longer side of a box that shares the window of another box, relative to the window's side. A box in a
+    /// window of its own has about 0.4; lower values save runs of the encoder and reduce accuracy.
     #[schemars(extend("unit" = "share"))]
     pub min_shared: f64,
-    /// Masks of a lower quality are none: the network expects too little of them, their border is unsure, or they do
-    /// not fit their box.
+    /// Minimum quality of a mask. Masks below it have a low expected overlap, an unstable border, or do not fit their
+    /// box.
     #[schemars(extend("unit" = "expected overlap, 0 to 1"))]
     pub min_quality: f64,
 }
@@ -49,7 +49,7 @@ impl Default for PromptOptions {
 }
 
 impl PromptOptions {
-    /// Refuses values that make no sense.
+    /// Rejects values out of range.
     ///
     /// # Errors
     /// [`OptionError`] names the option.

@@ -1,15 +1,17 @@
-//! Making one object of what was marked in a box: one part, without holes.
+//! Largest connected component of a mask, without holes.
 
 use crate::scene::Mask;
 
-/// The largest part of a mask whose pixels touch at their sides, with its holes filled; empty if the mask is. Of parts
-/// of equal size the first one, row by row.
-pub(super) fn one_part(mask: &Mask) -> Mask {
+/// Returns the largest 4-connected component of a mask, with its holes filled; empty if the mask is empty.
+///
+/// Of components of equal size it is the first, row by row.
+pub(super) fn largest_component(mask: &Mask) -> Mask {
     let size = (mask.width(), mask.height());
     let Some(bounds) = mask.bounding_box() else { return Mask::empty(size.0, size.1) };
     let (pixels, width) = (mask.pixels_in(bounds), bounds.width() as usize);
-    let parts = parts(&pixels, width);
-    let largest = parts.iter().reduce(|best, part| if part.len() > best.len() { part } else { best });
+    let components = components(&pixels, width);
+    let largest =
+        components.iter().reduce(|best, component| if component.len() > best.len() { component } else { best });
     let mut inside = vec![false; pixels.len()];
     for &pixel in largest.map_or(&[][..], Vec::as_slice) {
         inside[pixel] = true;
@@ -18,45 +20,45 @@ pub(super) fn one_part(mask: &Mask) -> Mask {
     Mask::from_window(size, bounds, inside)
 }
 
-/// Sets what is not set and not connected, side by side, with the border.
+/// Sets all pixels that are not 4-connected with the border through unset pixels.
 fn fill_holes(inside: &mut [bool], width: usize) {
     let outside: Vec<bool> = inside.iter().map(|&set| !set).collect();
     let height = inside.len() / width.max(1);
     let at_border =
         |pixel: usize| [0, width - 1].contains(&(pixel % width)) || [0, height - 1].contains(&(pixel / width));
-    for part in parts(&outside, width) {
-        if !part.iter().any(|&pixel| at_border(pixel)) {
-            part.iter().for_each(|&pixel| inside[pixel] = true);
+    for component in components(&outside, width) {
+        if !component.iter().any(|&pixel| at_border(pixel)) {
+            component.iter().for_each(|&pixel| inside[pixel] = true);
         }
     }
 }
 
-/// The parts of set pixels that touch at their sides, each as pixel numbers; in the order of their first pixels.
-fn parts(set: &[bool], width: usize) -> Vec<Vec<usize>> {
-    let mut waiting = set.to_vec();
+/// 4-connected components of set pixels, as pixel indices, in the order of their first pixels.
+fn components(set: &[bool], width: usize) -> Vec<Vec<usize>> {
+    let mut pending = set.to_vec();
     let mut all = Vec::new();
     for start in 0..set.len() {
-        if !waiting[start] {
+        if !pending[start] {
             continue;
         }
-        waiting[start] = false;
-        let mut part = vec![start];
+        pending[start] = false;
+        let mut component = vec![start];
         let mut next = 0;
-        while next < part.len() {
-            for beside in beside(part[next], width, set.len()).into_iter().flatten() {
-                if std::mem::take(&mut waiting[beside]) {
-                    part.push(beside);
+        while next < component.len() {
+            for neighbor in neighbors(component[next], width, set.len()).into_iter().flatten() {
+                if std::mem::take(&mut pending[neighbor]) {
+                    component.push(neighbor);
                 }
             }
             next += 1;
         }
-        all.push(part);
+        all.push(component);
     }
     all
 }
 
-/// The up to four pixels that share a side with one.
-fn beside(pixel: usize, width: usize, len: usize) -> [Option<usize>; 4] {
+/// Up to four pixels that share a side with a pixel.
+fn neighbors(pixel: usize, width: usize, len: usize) -> [Option<usize>; 4] {
     let column = pixel % width;
     [
         (column > 0).then(|| pixel - 1),
@@ -76,17 +78,17 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_part_stays_and_its_holes_are_filled() {
+    fn the_largest_component_is_kept_and_its_holes_are_filled() {
         let mask = drawn(&["#.....#", "..###.#", "..#.#..", "..####.", "......#"]);
         let expected = drawn(&[".......", "..###..", "..###..", "..####.", "......."]);
-        assert_eq!(one_part(&mask), expected);
+        assert_eq!(largest_component(&mask), expected);
     }
 
     #[test]
-    fn a_bay_is_no_hole_and_nothing_stays_nothing() {
+    fn a_bay_is_no_hole_and_an_empty_mask_stays_empty() {
         let bay = drawn(&["###", "#..", "###"]);
-        assert_eq!(one_part(&bay), bay);
-        assert_eq!(one_part(&Mask::empty(3, 2)), Mask::empty(3, 2));
-        assert_eq!(one_part(&Mask::empty(0, 0)), Mask::empty(0, 0));
+        assert_eq!(largest_component(&bay), bay);
+        assert_eq!(largest_component(&Mask::empty(3, 2)), Mask::empty(3, 2));
+        assert_eq!(largest_component(&Mask::empty(0, 0)), Mask::empty(0, 0));
     }
 }

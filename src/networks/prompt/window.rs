@@ -1,4 +1,4 @@
-//! Which part of the frame is looked at for a box, and how it becomes a network's input.
+//! Windows of the frame for boxes, and their mapping to a network's input.
 
 use ::image::RgbImage;
 
@@ -6,7 +6,7 @@ use super::options::{CELL, MASK_MARGIN, PromptOptions};
 use crate::image::{ImageError, resize_rgb};
 use crate::scene::Rect;
 
-/// A part of the frame; whole pixels.
+/// Window of the frame, in whole pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
     pub(super) x0: u32,
@@ -16,8 +16,9 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// A box with a margin on every side, at least `min_side_px` wide and high; moved into the frame, and cut where the
-    /// frame is smaller.
+    /// Window around a box with a margin on every side, at least `min_side_px` wide and high.
+    ///
+    /// It is shifted into the frame, and clipped if the frame is smaller.
     pub(super) fn around(rect: &Rect, margin_px: f64, min_side_px: u32, frame: (u32, u32)) -> Self {
         let along = |first: f64, last: f64, length: u32| {
             let side = (last - first + 2.0 * margin_px).ceil() as u32;
@@ -30,7 +31,7 @@ impl Window {
         Self { x0, y0, width, height }
     }
 
-    /// The pixels whose centres lie in a box; `None` where there are none.
+    /// Window of the pixels whose centers are in a box; `None` if there are none.
     pub(super) fn of_pixels(rect: &Rect, frame: (u32, u32)) -> Option<Self> {
         let along = |first: f64, last: f64, length: u32| {
             let bound = |edge: f64| (edge - 0.5).ceil().clamp(0.0, f64::from(length)) as u32;
@@ -51,8 +52,8 @@ impl Window {
         Rect { x0, y0, x1: x0 + f64::from(self.width), y1: y0 + f64::from(self.height) }
     }
 
-    /// Returns true if a box, grown by a margin as far as the frame allows, lies in the window.
-    fn holds(&self, rect: &Rect, margin: f64, frame: (u32, u32)) -> bool {
+    /// Returns true if the window contains a box with a margin, clipped to the frame.
+    fn contains(&self, rect: &Rect, margin: f64, frame: (u32, u32)) -> bool {
         let grown = rect.grown(margin).clipped(frame.0, frame.1);
         self.rect().intersection(&grown) == grown
     }
@@ -62,41 +63,43 @@ impl Window {
     }
 }
 
-/// A window and the boxes that are looked at in it, by their number.
+/// Window with the indices of the boxes that are segmented in it.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Share {
+pub(super) struct SharedWindow {
     pub(super) window: Window,
     pub(super) boxes: Vec<usize>,
 }
 
 /// Longer side of a box.
-fn longer(rect: &Rect) -> f64 {
+fn longer_side(rect: &Rect) -> f64 {
     rect.width().max(rect.height())
 }
 
-/// As few windows as the sizes of the boxes allow: the largest box that has none gets one of its own, and every other
-/// that lies in it and is not too small for it is looked at in it as well.
+/// Assigns boxes to windows, greedily with few windows.
 ///
-/// `boxes` lie in the frame; those of no area get no window.
-pub(super) fn shares(boxes: &[Rect], frame: (u32, u32), options: &PromptOptions) -> Vec<Share> {
-    let mut waiting: Vec<usize> = (0..boxes.len()).filter(|&b| boxes[b].area_px2() > 0.0).collect();
-    waiting.sort_by(|&a, &b| longer(&boxes[b]).total_cmp(&longer(&boxes[a])));
+/// The largest box without a window gets a new one. Every other box that is inside it, and not too small for it, shares
+/// this window.
+///
+/// * `boxes` – boxes in the frame; boxes without area get no window.
+pub(super) fn shared_windows(boxes: &[Rect], frame: (u32, u32), options: &PromptOptions) -> Vec<SharedWindow> {
+    let mut pending: Vec<usize> = (0..boxes.len()).filter(|&b| boxes[b].area_px2() > 0.0).collect();
+    pending.sort_by(|&a, &b| longer_side(&boxes[b]).total_cmp(&longer_side(&boxes[a])));
     let mut all = Vec::new();
-    while let Some(&first) = waiting.first() {
-        let margin_px = (options.window - 1.0) / 2.0 * longer(&boxes[first]);
+    while let Some(&first) = pending.first() {
+        let margin_px = (options.window - 1.0) / 2.0 * longer_side(&boxes[first]);
         let window = Window::around(&boxes[first], margin_px, options.min_window, frame);
         let fits = |b: usize| {
-            let large_enough = longer(&boxes[b]) >= options.min_shared * window.side();
-            b == first || (large_enough && window.holds(&boxes[b], MASK_MARGIN, frame))
+            let large_enough = longer_side(&boxes[b]) >= options.min_shared * window.side();
+            b == first || (large_enough && window.contains(&boxes[b], MASK_MARGIN, frame))
         };
-        let (inside, outside) = waiting.iter().partition(|&&b| fits(b));
-        waiting = outside;
-        all.push(Share { window, boxes: inside });
+        let (inside, outside) = pending.iter().partition(|&&b| fits(b));
+        pending = outside;
+        all.push(SharedWindow { window, boxes: inside });
     }
     all
 }
 
-/// A window as it lies in a network's input: in the upper left corner, `input = (frame - origin) · scale`, per axis.
+/// Mapping of a window to the upper left corner of a network's input: `input = (frame - origin) · scale`, per axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Placement {
     origin: [f64; 2],
@@ -108,8 +111,9 @@ pub(super) struct Placement {
 }
 
 impl Placement {
-    /// Fits a window into an input whose longer side is `input_size`, a multiple of [`CELL`]; the shorter side is the
-    /// next multiple.
+    /// Fits a window into an input whose longer side is `input_size`, a multiple of [`CELL`].
+    ///
+    /// The shorter side is rounded up to a multiple.
     pub(super) fn new(window: Window, input_size: u32) -> Self {
         let ratio = f64::from(input_size) / window.side();
         let fit = |side: u32| ((f64::from(side) * ratio).round() as u32).clamp(1, input_size);
@@ -119,17 +123,17 @@ impl Placement {
         Self { origin: [f64::from(window.x0), f64::from(window.y0)], scale, filled, input }
     }
 
-    /// The window's pixels at the size that they have in the input.
+    /// Pixels of the window, resized for the input.
     pub(super) fn pixels(&self, image: &RgbImage, window: Window) -> Result<RgbImage, ImageError> {
         resize_rgb(&window.crop(image), self.filled.0, self.filled.1)
     }
 
-    /// A position in the frame, as a position in the input.
+    /// Converts a position in the frame to the input.
     pub(super) fn input_from_frame(&self, x: f64, y: f64) -> [f64; 2] {
         [(x - self.origin[0]) * self.scale[0], (y - self.origin[1]) * self.scale[1]]
     }
 
-    /// Pixels of the input per pixel of the frame, both ways together.
+    /// Area of a pixel of the frame in the input, square pixels.
     pub(super) fn area_scale(&self) -> f64 {
         self.scale[0] * self.scale[1]
     }
@@ -146,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn windows_lie_in_the_frame_round_their_box() {
+    fn windows_are_in_the_frame_around_their_box() {
         let window = Window::around(&rect(600.0, 300.0, 40.0, 20.0), 60.0, 64, FRAME);
         assert_eq!(window, Window { x0: 540, y0: 240, width: 160, height: 140 });
         let corner = Window::around(&rect(1250.0, 0.0, 30.0, 20.0), 20.0, 120, FRAME);
@@ -156,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn pixels_belong_to_a_box_by_their_centres() {
+    fn pixels_belong_to_a_box_by_their_centers() {
         let window = Window::of_pixels(&rect(2.4, 2.6, 3.2, 2.0), (10, 4)).unwrap();
         assert_eq!(window, Window { x0: 2, y0: 3, width: 4, height: 1 });
         assert_eq!(Window::of_pixels(&rect(2.6, 0.0, 0.8, 4.0), (10, 4)), None);
@@ -174,7 +178,7 @@ mod tests {
         assert!((x - 448.0).abs() < 1e-9 && (y - 256.0).abs() < 1e-9, "{x}, {y}");
         let [x, y] = placement.input_from_frame(101.0 + 333.0 / 4.0, 57.0 + 95.0);
         assert!((x - 112.0).abs() < 1e-9 && (y - 128.0).abs() < 1e-9, "{x}, {y}");
-        // A ramp keeps its place: the grey value at a pixel's centre is that of the frame there.
+        // A ramp is preserved: the gray value at the center of a pixel is that of the frame there.
         let image = RgbImage::from_fn(500, 300, |x, _| ::image::Rgb([(x / 2) as u8; 3]));
         let pixels = placement.pixels(&image, window).unwrap();
         for x in [150.5, 300.5, 400.5] {
@@ -194,26 +198,26 @@ mod tests {
             rect(650.0, 300.0, 12.0, 8.0),
             rect(10.0, 10.0, 0.0, 9.0),
         ];
-        let found: Vec<Vec<usize>> = shares(&boxes, FRAME, &options).into_iter().map(|s| s.boxes).collect();
+        let found: Vec<Vec<usize>> = shared_windows(&boxes, FRAME, &options).into_iter().map(|s| s.boxes).collect();
         assert_eq!(found, [vec![1, 0], vec![2], vec![3]]);
-        assert!(shares(&[], FRAME, &options).is_empty());
+        assert!(shared_windows(&[], FRAME, &options).is_empty());
     }
 
     #[test]
-    fn every_box_of_some_area_is_looked_at_once() {
+    fn every_box_with_an_area_is_in_one_window() {
         let options = PromptOptions { window: 2.5, ..PromptOptions::default() };
         let boxes: Vec<Rect> = (0..40)
             .map(|k| rect(f64::from(k * 131 % 400), f64::from(k * 67 % 250), f64::from(4 + k * 7 % 60), 15.0))
             .collect();
-        let all = shares(&boxes, FRAME, &options);
-        let mut seen: Vec<usize> = all.iter().flat_map(|share| share.boxes.clone()).collect();
+        let all = shared_windows(&boxes, FRAME, &options);
+        let mut seen: Vec<usize> = all.iter().flat_map(|shared| shared.boxes.clone()).collect();
         seen.sort_unstable();
         assert_eq!(seen, (0..40).collect::<Vec<_>>());
         assert!(all.len() < 40);
-        for share in all {
-            for b in share.boxes {
+        for shared in all {
+            for b in shared.boxes {
                 let clipped = boxes[b].clipped(FRAME.0, FRAME.1);
-                assert_eq!(share.window.rect().intersection(&clipped), clipped);
+                assert_eq!(shared.window.rect().intersection(&clipped), clipped);
             }
         }
     }

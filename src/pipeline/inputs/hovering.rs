@@ -12,7 +12,7 @@ use super::telemetry::{Origin, Telemetry};
 use super::{alignment, attitude, clock_offsets, telemetry};
 use crate::camera::{Camera, GUESSED_FOCAL_STD, SLOPE_STD};
 use crate::features::TrackTable;
-use crate::ground::{StatedTilt, TiltKind};
+use crate::ground::{TiltEstimate, TiltKind};
 use crate::io;
 use crate::mapper::{LineNormal, rotating_camera};
 use crate::math::Sim3;
@@ -60,7 +60,7 @@ pub(in crate::pipeline) fn tilts(
     run: &Run,
     background: &Reconstruction,
     by_lines: Option<&LineNormal>,
-) -> Result<Vec<StatedTilt>> {
+) -> Result<Vec<TiltEstimate>> {
     let vertical = telemetry::find(run, &mut Outcome::default()).and_then(|log| {
         let of_gimbal = || station(run, background, &log).ok()?.vertical();
         let frames = alignment::registered(background, run.frames().ok()?);
@@ -80,19 +80,19 @@ pub fn stated_tilts(
     by_lines: Option<&LineNormal>,
     vertical: Option<(Vector3<f64>, f64)>,
     on_map: Option<&OnMap>,
-) -> Vec<StatedTilt> {
+) -> Vec<TiltEstimate> {
     let Some(first) = background.images.values().next() else { return Vec::new() };
     let of_up = |kind: TiltKind, source: &str, up_in_world: Vector3<f64>, covariance: Matrix3<f64>| {
         let cam_from_world = first.cam_from_world.rotation.to_rotation_matrix();
         let covariance = cam_from_world * covariance * cam_from_world.transpose();
-        StatedTilt { kind, ..StatedTilt::of_up(source, &(cam_from_world * up_in_world), &covariance) }
+        TiltEstimate { kind, ..TiltEstimate::of_up(source, &(cam_from_world * up_in_world), &covariance) }
     };
     let in_all_directions = |std: f64| Matrix3::identity() * std.powi(2);
     // The uprights of buildings are vertical.
     let of_lines =
         |lines: &LineNormal| of_up(TiltKind::Vertical, "straight lines", lines.normal_in_world, lines.covariance);
-    let mut found: Vec<StatedTilt> = by_lines.map(of_lines).into_iter().collect();
-    found.extend(options.camera_pitch.map(|pitch| StatedTilt {
+    let mut found: Vec<TiltEstimate> = by_lines.map(of_lines).into_iter().collect();
+    found.extend(options.camera_pitch.map(|pitch| TiltEstimate {
         source: "--camera-pitch".to_owned(),
         angles: [pitch.value.to_radians(), 0.0],
         std: [Some(pitch.std.to_radians().max(LEAST_PITCH_STD)), None],

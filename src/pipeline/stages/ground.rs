@@ -8,8 +8,8 @@ use serde_json::{Value, json};
 
 use super::{background, objects, track};
 use crate::ground::{
-    BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, StatedTilt, TiltContradiction, dominant_plane_points,
-    find_mount, label_points,
+    BodyShape, DominantPlane, GroundChain, HoveringGround, Mount, TiltContradiction, TiltEstimate,
+    dominant_plane_points, find_mount, label_points,
 };
 use crate::io::{RunFolder, masks};
 use crate::networks::{GroundSegmenter, load_ground_segmenter};
@@ -79,7 +79,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     outcome.figure("num_planes", ground.planes.len());
     outcome.figure("bases", json!(bases));
     if let Some(ground) = &found.hovering {
-        let of_source = |tilt: &StatedTilt| {
+        let of_source = |tilt: &TiltEstimate| {
             let std = tilt.std.map(|std| std.map(f64::to_degrees));
             json!({ "source": tilt.source, "tilt_deg": tilt.angles.map(f64::to_degrees), "std_deg": std })
         };
@@ -142,7 +142,7 @@ impl GroundResults {
     ) -> GroundChain<'a> {
         GroundChain {
             background,
-            labelled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
+            labeled: self.labelled.as_ref().map_or(&[], |(_, points)| points),
             dominant: self.dominant.as_ref(),
             mount: self.mount.as_ref(),
             hovering: self.hovering.as_ref(),

@@ -4,20 +4,20 @@ use nalgebra::Point2;
 
 use crate::scene::Mask;
 
-/// The outline of an object in one frame.
+/// Outline of an object in one frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Silhouette {
-    /// Corners of the convex hull of the mask's pixel centres, in order.
+    /// Corners of the convex hull of the mask's pixel centers, in order.
     pub hull: Vec<Point2<f64>>,
 }
 
 impl Silhouette {
-    /// Fewest pixels that have an outline.
+    /// Minimum number of pixels of a mask with an outline.
     const MIN_AREA_PX2: usize = 50;
-    /// Distance of an outline from the outermost centers of the mask's pixels, on average over directions.
+    /// Distance of an outline from the outermost pixel centers of the mask, averaged over directions.
     pub(in crate::trajectory) const BORDER_PX: f64 = 0.3;
 
-    /// The outline of a mask; `None` for one that is tiny or that the border of the picture cuts.
+    /// Outline of a mask; `None` for one that is tiny or truncated by the image border.
     pub fn of(mask: &Mask) -> Option<Self> {
         let bounds = mask.bounding_box()?;
         let cut = bounds.is_truncated(mask.width(), mask.height());
@@ -32,7 +32,7 @@ impl Silhouette {
         Some(Self { hull: convex_hull(ends.flatten().collect()) })
     }
 
-    /// Returns true if a pixel lies within the outline, or at most `margin` pixels outside.
+    /// Returns true if a pixel is inside the outline, or at most `margin` pixels outside.
     pub(in crate::trajectory) fn contains(&self, pixel: Point2<f64>, margin: f64) -> bool {
         let next = self.hull.iter().cycle().skip(1);
         self.hull.iter().zip(next).all(|(a, b)| {
@@ -42,8 +42,9 @@ impl Silhouette {
     }
 }
 
-/// Corners of the convex hull (monotone chain: A. Andrew, *Another efficient algorithm for convex hulls in two
-/// dimensions*, 1979).
+/// Corners of the convex hull.
+///
+/// Monotone chain: A. Andrew, *Another efficient algorithm for convex hulls in two dimensions*, 1979.
 pub(in crate::trajectory) fn convex_hull(mut points: Vec<Point2<f64>>) -> Vec<Point2<f64>> {
     points.sort_by(|a, b| (a.x, a.y).partial_cmp(&(b.x, b.y)).unwrap_or(std::cmp::Ordering::Equal));
     let chain = |points: &mut dyn Iterator<Item = &Point2<f64>>| {

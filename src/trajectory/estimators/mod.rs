@@ -1,7 +1,7 @@
-//! Scale estimators of a model that stays as it is, by method.
+//! Scale estimators that do not change the model, by method.
 //!
 //! A new estimator is a file here, a row in the table of [`ScaleMethod`], and an arm of [`estimate()`], which the
-//! compiler asks for. Options, verdict, benchmark, charts, report and documents follow the table.
+//! compiler requires. Options, verdict, benchmark, charts, report and documents follow the table.
 
 mod camera_height;
 mod motion;
@@ -16,17 +16,17 @@ use self::motion::Motion;
 use super::{Options, ScaleError, Views, constant_distance, intersection, least_squares};
 use crate::scene::ScaleMethod;
 
-/// A scale ratio by one estimator.
+/// Scale ratio by one estimator.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Estimate {
     /// r > 0.
     pub ratio: f64,
-    /// Its standard deviation, where the estimator has one.
+    /// Its standard deviation; `None` where the estimator has none.
     pub std: Option<f64>,
 }
 
 impl Estimate {
-    /// A standard deviation that is not finite is none.
+    /// Estimate; a standard deviation that is not finite becomes `None`.
     pub fn new(ratio: f64, std: Option<f64>) -> Self {
         Self { ratio, std: std.filter(|std| std.is_finite()) }
     }
@@ -35,8 +35,8 @@ impl Estimate {
 /// Estimates the ratio of one object by a method.
 ///
 /// # Errors
-/// [`ScaleError`] if the data leave the ratio undetermined, or are not there; [`ScaleError::NoAnswer`] for
-/// [`ScaleMethod::Joint`], which makes a model of its own ([`joint`](super::joint())).
+/// [`ScaleError`] if data are missing, or leave the ratio undetermined; [`ScaleError::NoAnswer`] for
+/// [`ScaleMethod::Joint`], which adjusts the model ([`joint`](super::joint())).
 pub fn estimate(method: ScaleMethod, views: &Views, options: &Options) -> Result<Estimate, ScaleError> {
     let alone = |ratio: fn(&Motion) -> Result<f64, ScaleError>| Motion::new(views)?.jackknifed(ratio);
     match method {

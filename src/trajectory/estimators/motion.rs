@@ -1,13 +1,13 @@
-//! Motion of a camera and of the object that it sees: the data of the estimators that look at whole trajectories.
+//! Motion of a camera and of the observed object: the data of the estimators that use whole trajectories.
 //!
-//! With the object's reference point o, the middle of its points, and
+//! With the object's reference point o, the center of its points, and
 //!
 //! ```text
 //! v_i = R_i(b)ᵀ R_i(o) (o − c_i(o)),    o_i(r) = c_i + r v_i,
 //! ```
 //!
 //! a wrong ratio r′ = k r gives the path (1 − k) c + k o: every wrong path is a blend of the true one and the camera's.
-//! All criteria ask for a property that the blend lacks, and are blind where the camera's own path has it.
+//! All criteria require a property that the blend lacks, and are blind where the camera's own path has it.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
@@ -15,23 +15,23 @@ use super::Estimate;
 use crate::math::{JACKKNIFE_GROUPS, centroid, jackknife_groups, jackknife_std, median, quantile, quantile_range};
 use crate::trajectory::{ScaleError, View, Views};
 
-/// Fewest frames: two for each group of the jackknife.
+/// Minimum number of frames: two for each group of the jackknife.
 const MIN_FRAMES: usize = 2 * JACKKNIFE_GROUPS;
 
-/// Size of a vector below which nothing but rounding is left of it, relative to the distance from camera to object:
-/// model files may be in single precision.
+/// Size of a vector below which it is rounding, relative to the distance from camera to object: model files may be in
+/// single precision.
 const ROUNDING: f64 = 1e-6;
 
 /// Motion of camera and object over frames.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(super) struct Motion {
-    /// t_i: frame indices in units of the usual step, ascending.
+    /// t_i: frame indices in units of the median step, ascending.
     pub(super) times: Vec<f64>,
     /// c_i: camera centers.
     pub(super) centers: Vec<Vector3<f64>>,
     /// v_i: from the camera to the reference point, in axes of the background and units of the object.
     pub(super) offsets: Vec<Vector3<f64>>,
-    /// R_i(b)ᵀ R_i(o): turns the object's axes into those of the background.
+    /// R_i(b)ᵀ R_i(o): rotations from the object's axes to those of the background.
     pub(super) rotations: Vec<Matrix3<f64>>,
     /// n_i: normals of the local planes.
     pub(super) normals: Vec<Vector3<f64>>,
@@ -42,7 +42,7 @@ pub(super) struct Motion {
     /// Smallest n · v of a frame over all points of the object.
     pub(super) lowest: Vec<f64>,
     /// Height of the object over the plane of the middle frame: between the 2 and 98 % quantiles of its points.
-    pub(super) tall: f64,
+    pub(super) object_height: f64,
     /// Length of the object: twice the distance from the reference point within which 95 % of its points are.
     pub(super) length: f64,
 }
@@ -70,7 +70,7 @@ impl Motion {
             motion.lowest.push(lowest.unwrap_or(f64::NAN));
         }
         let levels = quantile_range(&mut offsets(&views.views[views.views.len() / 2]), 0.02);
-        motion.tall = levels.map_or(0.0, |[low, high]| high - low);
+        motion.object_height = levels.map_or(0.0, |[low, high]| high - low);
         let step = median(motion.times.windows(2).map(|pair| pair[1] - pair[0]).collect()).unwrap_or(1.0);
         motion.times.iter_mut().for_each(|time| *time /= step);
         Ok(motion)
@@ -80,7 +80,7 @@ impl Motion {
         self.times.len()
     }
 
-    /// Pairs of frames that are `step` usual steps apart.
+    /// Pairs of frames that are `step` median steps apart.
     pub(super) fn pairs(&self, step: usize) -> impl Iterator<Item = (usize, usize)> + '_ {
         (0..self.len()).filter_map(move |first| {
             let wanted = self.times[first] + step as f64;
@@ -101,9 +101,9 @@ impl Motion {
         median(self.offsets.iter().map(Vector3::norm).collect()).unwrap_or(0.0)
     }
 
-    /// r of least Σ |a_i + r b_i|², for vectors (or their components) that are linear in r: r = −Σ a · b / Σ b · b.
+    /// r that minimizes Σ |a_i + r b_i|², for vectors (or components) linear in r: r = −Σ a · b / Σ b · b.
     ///
-    /// Noise of b pulls r towards 0, as in every regression with errors in the variables.
+    /// Noise of b biases r towards 0, as in every regression with errors in the variables.
     pub(super) fn least_squares<const D: usize>(&self, terms: &[[[f64; D]; 2]]) -> Result<f64, ScaleError> {
         let dot = |x: &[f64; D], y: &[f64; D]| x.iter().zip(y).map(|(x, y)| x * y).sum::<f64>();
         let ab: f64 = terms.iter().map(|[a, b]| dot(a, b)).sum();
@@ -116,19 +116,19 @@ impl Motion {
     }
 
     /// The motion without the frames of a range.
-    fn without(&self, left_out: std::ops::Range<usize>) -> Self {
+    fn without(&self, removed: std::ops::Range<usize>) -> Self {
         let mut rest = self.clone();
         for numbers in [&mut rest.times, &mut rest.heights, &mut rest.height_stds, &mut rest.lowest] {
-            numbers.drain(left_out.clone());
+            numbers.drain(removed.clone());
         }
         for vectors in [&mut rest.centers, &mut rest.offsets, &mut rest.normals] {
-            vectors.drain(left_out.clone());
+            vectors.drain(removed.clone());
         }
-        rest.rotations.drain(left_out);
+        rest.rotations.drain(removed);
         rest
     }
 
-    /// An estimate with its standard deviation: that of a jackknife of log r.
+    /// Estimate with its standard deviation by a jackknife of log r.
     ///
     /// # Errors
     /// [`ScaleError`] if the motion, or that of a part of the clip, leaves the ratio undetermined.
@@ -141,7 +141,7 @@ impl Motion {
     }
 }
 
-/// A ratio if it is one of lengths.
+/// The ratio, if it is positive and finite.
 pub(super) fn positive(ratio: f64) -> Result<f64, ScaleError> {
     match ratio.is_finite() && ratio > 0.0 {
         true => Ok(ratio),
@@ -155,7 +155,7 @@ pub(super) fn centered(vectors: &[Vector3<f64>]) -> Vec<Vector3<f64>> {
     vectors.iter().map(|vector| vector - mean).collect()
 }
 
-/// Length of an object by the quantile of its points' distances from their middle, which stray points do not reach.
+/// Length of an object: twice the quantile of its points' distances from their center, which excludes stray points.
 fn length(points: &[Point3<f64>], middle: &Point3<f64>) -> f64 {
     let mut distances: Vec<f64> = points.iter().map(|point| (point - middle).norm()).collect();
     2.0 * quantile(&mut distances, 0.95).unwrap_or(0.0)

@@ -1,6 +1,6 @@
-//! Ozden et al.: motion in a plane across the axis about which the vehicle turns.
+//! Ozden et al.: motion in a plane perpendicular to the axis about which the vehicle turns.
 //!
-//! The planarity of `ozden-plane` with its normal known: a vehicle in a plane turns about the normal. K. E. Ozden, K.
+//! The planarity of `ozden-plane` with a known normal: a vehicle in a plane turns about the normal. K. E. Ozden, K.
 //! Cornelis, L. Van Eycken, L. Van Gool, CVPR 2004, have the criterion; this form is ours. With the turns ΔR_i of the
 //! object since the first frame, in axes of the background, the axis m is the eigenvector of the least eigenvalue of
 //! Σ (ΔR_i − I)ᵀ (ΔR_i − I), and with means subtracted
@@ -18,7 +18,7 @@ use super::motion::{Motion, centered};
 use crate::math::symmetric_eigen;
 use crate::trajectory::ScaleError;
 
-/// r of a path across the axis.
+/// r of a path perpendicular to the axis.
 pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
     let axis = axis(motion).ok_or(ScaleError::Undetermined("the vehicle does not turn"))?;
     let [centers, offsets] = [&motion.centers, &motion.offsets].map(|all| centered(all));
@@ -32,7 +32,7 @@ fn axis(motion: &Motion) -> Option<Vector3<f64>> {
     let turns = || motion.rotations.iter().map(|rotation| rotation * first);
     let largest = turns().map(|turn| Rotation3::from_matrix_unchecked(turn).angle()).fold(0.0, f64::max);
     let scatter: Matrix3<f64> = turns().map(|turn| turn - Matrix3::identity()).map(|d| d.transpose() * d).sum();
-    // An attitude that is good to 0.3° puts the axis of a turn of 10° off by 2°, and the plane by 3 % of the path.
+    // An attitude error of 0.3° gives the axis of a turn of 10° an error of 2°, and the plane one of 3 % of the path.
     let found = symmetric_eigen(scatter).filter(|_| largest >= 0.175)?;
     Some(found.eigenvectors.column(found.eigenvalues.imin()).into_owned())
 }

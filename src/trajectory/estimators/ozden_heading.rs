@@ -1,17 +1,17 @@
-//! Ozden et al.: a vehicle moves where it points.
+//! Ozden et al.: a vehicle moves in the direction of its heading.
 //!
 //! K. E. Ozden, K. Cornelis, L. Van Eycken, L. Van Gool, *Reconstructing 3D independent motions using
 //! non-accidentalness*, CVPR 2004: at the true scale the direction of motion is constant in the object's own frame. The
 //! cost function is ours. With R_m the rotation in the middle of a step, Δ the difference over it, h the direction in
-//! the object's frame and l the distance from the rear axle to the reference point (only the rear axle moves where the
-//! vehicle points),
+//! the object's frame and l the distance from the rear axle to the reference point (only the rear axle moves in the
+//! direction of the heading),
 //!
 //! ```text
 //! w_i = R_mᵀ (Δc_i + r Δv_i − l Δ(R_i h)),    Σ |(I − h hᵀ) w_i|²  →  min over r, h, l,
 //! ```
 //!
-//! by Gauss and Newton from several r, with a wide prior on l, which straight stretches leave open. The least share of
-//! Σ |w_i|² wins. A step is about half of the vehicle's length: noise decides over shorter ones.
+//! by Gauss–Newton from several r, with a wide prior on l, which straight motion leaves undetermined. The smallest
+//! share of Σ |w_i|² wins. A step is about half of the vehicle's length: noise dominates over shorter ones.
 //!
 //! **Assumption**: no side slip. **Blind** where the camera moves along the vehicle's axis and the vehicle does not
 //! turn.
@@ -23,10 +23,10 @@ use super::motion::{Motion, positive};
 use crate::math::{median, svd3};
 use crate::trajectory::{ScaleError, Views};
 
-/// Distance from the rear axle to the middle of the vehicle's points, and its standard deviation, as shares of the
-/// vehicle's length: 1.3 m of 4.3 m; a middle that lies at one of the ends is within it.
+/// Distance from the rear axle to the center of the vehicle's points, and its standard deviation, as shares of the
+/// vehicle's length: 1.3 m of 4.3 m; a center at one of the ends is within the standard deviation.
 const AXLE: [f64; 2] = [0.3, 0.35];
-/// Bounds of the ratio during the search, as factors of the guess: far beyond any start.
+/// Bounds of the ratio during the search, as factors of the initial ratio: far beyond all starting values.
 const BOUNDS: [f64; 2] = [0.05, 20.0];
 
 /// Ratio of motion along the heading.
@@ -41,7 +41,7 @@ pub(super) fn estimate(views: &Views) -> Result<Estimate, ScaleError> {
     motion.jackknifed(|motion| heading.solve(motion))
 }
 
-/// Frames of a step, at least two and at most a quarter of all: an even number, whose middle is a frame.
+/// Frames of a step, at least two and at most a quarter of all: an even number, so that its middle is a frame.
 fn step(motion: &Motion, length: f64, guess: f64) -> usize {
     let position = |k: usize| motion.centers[k] + guess * motion.offsets[k];
     let speed = median(motion.pairs(1).map(|(a, b)| (position(b) - position(a)).norm()).collect()).unwrap_or(0.0);
@@ -53,7 +53,7 @@ fn step(motion: &Motion, length: f64, guess: f64) -> usize {
 
 /// The criterion with its settings.
 pub(super) struct Heading {
-    /// First guess of r.
+    /// Initial value of r.
     pub(super) guess: f64,
     /// Prior of l and its standard deviation, units of the background.
     pub(super) axle: [f64; 2],
@@ -61,7 +61,7 @@ pub(super) struct Heading {
     pub(super) step: usize,
 }
 
-/// A step in axes of the object: Δc, Δv, and ΔR, whose product with h is the change of the heading.
+/// Step in axes of the object: Δc, Δv, and ΔR, whose product with h is the change of the heading.
 struct Step {
     camera: Vector3<f64>,
     offset: Vector3<f64>,
@@ -75,7 +75,7 @@ struct State {
     axle: f64,
 }
 
-/// A local minimum.
+/// Local minimum.
 struct Minimum {
     /// Share of the motion that is not along the direction.
     share: f64,
@@ -117,7 +117,7 @@ impl Heading {
     /// Local minimum from one start.
     fn from(&self, steps: &[Step], ratio: f64) -> Option<Minimum> {
         let mut state = State { ratio, direction: main_direction(steps, ratio)?, axle: 0.0 };
-        // Convergence takes less than ten.
+        // Limit on the iterations: convergence takes fewer than ten.
         for _ in 0..30 {
             let tangents = tangents(&state.direction)?;
             let change = self.round(steps, &state, &tangents)?;
@@ -176,7 +176,7 @@ fn squares(steps: &[Step], state: &State) -> [f64; 2] {
     sums.fold([0.0, 0.0], |[a, b], [c, d]| [a + c, b + d])
 }
 
-/// Direction along which the steps are longest at a ratio, such that the vehicle goes forward.
+/// Principal direction of the steps at a ratio, oriented forward.
 fn main_direction(steps: &[Step], ratio: f64) -> Option<Vector3<f64>> {
     let w = |step: &Step| step.camera + ratio * step.offset;
     let scatter: Matrix3<f64> = steps.iter().map(|step| w(step) * w(step).transpose()).sum();
@@ -185,7 +185,7 @@ fn main_direction(steps: &[Step], ratio: f64) -> Option<Vector3<f64>> {
     Some(if forward < 0.0 { -direction } else { direction })
 }
 
-/// Two unit vectors across a direction and one another.
+/// Two unit vectors perpendicular to a direction and to each other.
 fn tangents(direction: &Vector3<f64>) -> Option<[Vector3<f64>; 2]> {
     let axis = Vector3::ith(direction.iamin(), 1.0);
     let first = direction.cross(&axis).try_normalize(0.0)?;

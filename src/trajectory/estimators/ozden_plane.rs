@@ -1,4 +1,4 @@
-//! Ozden et al.: motion in a plane, whichever.
+//! Ozden et al.: motion in any plane.
 //!
 //! K. E. Ozden, K. Cornelis, L. Van Eycken, L. Van Gool, *Reconstructing 3D independent motions using
 //! non-accidentalness*, CVPR 2004: a wrong scale destroys the planarity of a path. The cost function is ours: with σ₁ ≥
@@ -8,8 +8,8 @@
 //! J(r) = σ₃ / σ₂.
 //! ```
 //!
-//! **Assumption**: the vehicle stays in one plane. **Blind** where the camera moves in a plane: r → 0 is then a perfect
-//! answer; and where the vehicle moves on a straight line, which lies in many planes.
+//! **Assumption**: the vehicle stays in one plane. **Blind** where the camera moves in a plane, for which r → 0 is a
+//! perfect solution, and where the vehicle moves on a straight line, which is in many planes.
 
 use nalgebra::DMatrix;
 
@@ -41,7 +41,7 @@ pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
     let (of_centers, of_offsets) = (triangle.columns(0, 3).into_owned(), triangle.columns(3, 3).into_owned());
     let cost = |r: f64| {
         let path = &of_centers + r * &of_offsets;
-        // The decomposition does not end on numbers whose squares are not finite.
+        // The decomposition does not terminate on numbers whose squares are not finite.
         if !(path.amax() < 1e100) {
             return f64::INFINITY;
         }
@@ -52,16 +52,15 @@ pub(super) fn ratio(motion: &Motion, guess: f64) -> Result<f64, ScaleError> {
     least(guess, cost)
 }
 
-/// The ratio of least cost, by golden section search between the neighbors of the best one of a grid that is even in
-/// the logarithm.
+/// Ratio of minimum cost, by golden section search between the neighbors of the best one of a logarithmic grid.
 ///
 /// # Errors
-/// [`ScaleError::Undetermined`] if the cost is least at an end of the range: it has no minimum there.
+/// [`ScaleError::Undetermined`] if the cost is smallest at an end of the range, which is not a minimum.
 fn least(guess: f64, cost: impl Fn(f64) -> f64) -> Result<f64, ScaleError> {
-    // Search range over the guess. Contact of the lowest points, the guess, is a third off at most (the paper's own
-    // worst case); five is beyond any doubt.
+    // Search range, as factors of the initial ratio. That of contact of the lowest points has an error of a third at
+    // most (the paper's own worst case), far below a factor of five.
     const FACTORS: [f64; 2] = [0.2, 5.0];
-    // Number of ratios of the grid: one percent from ratio to ratio sees every valley of a criterion.
+    // Number of ratios of the grid: steps of one percent resolve every minimum of a criterion.
     const NUM: usize = 321;
     let [first, last] = FACTORS.map(f64::ln);
     let ratio = |k: usize| guess * (first + (last - first) * k as f64 / (NUM - 1) as f64).exp();
@@ -71,7 +70,7 @@ fn least(guess: f64, cost: impl Fn(f64) -> f64) -> Result<f64, ScaleError> {
         return Err(ScaleError::Undetermined("the cost is least at the end of the search range"));
     };
     let (mut low, mut high) = (ratio(best - 1), ratio(best + 1));
-    // Forty rounds narrow the interval by 10⁻⁸.
+    // Forty iterations narrow the interval by 10⁻⁸.
     for _ in 0..40 {
         let (a, b) = (low + 0.382 * (high - low), low + 0.618 * (high - low));
         if cost(a) < cost(b) { high = b } else { low = a }

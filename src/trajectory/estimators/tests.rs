@@ -1,5 +1,5 @@
-//! One battery for all estimators: every method is exact where its assumption holds, near the truth with
-//! noise, and undetermined where the camera makes it blind.
+//! One set of tests for all estimators: every method is exact where its assumption is true, near the truth with noise,
+//! and undetermined where the camera makes it blind.
 
 use nalgebra::{Point3, Rotation3, UnitQuaternion, Vector3};
 use rand::Rng as _;
@@ -15,7 +15,7 @@ use crate::trajectory::View;
 /// Background units per object unit.
 const RATIO: f64 = 0.7;
 const NUM_FRAMES: u32 = 60;
-/// From the rear axle to the middle of the box, meters (the background's unit).
+/// From the rear axle to the center of the box, meters (the background's unit).
 const AXLE: f64 = 1.3;
 
 /// Motion of a camera and a vehicle.
@@ -27,7 +27,7 @@ enum World {
     Following,
     /// The vehicle turns; the camera keeps its height.
     LevelCamera,
-    /// Ground planes lie above the camera.
+    /// Ground planes are above the camera.
     WrongPlanes,
 }
 
@@ -114,8 +114,8 @@ fn estimate(method: ScaleMethod, views: &Views) -> Result<Estimate, ScaleError> 
     super::estimate(method, views, &Options::default())
 }
 
-/// World in which a method's assumption holds, the error there without noise and with it; and world in which it is
-/// blind. `None` for the adjustment, which needs images and has tests of its own.
+/// World in which a method's assumption is true, its maximum errors there without and with noise, and a world in which
+/// it is blind. `None` for the adjustment, which needs images and has tests of its own.
 fn case(method: ScaleMethod) -> Option<(World, f64, f64, World)> {
     use ScaleMethod as M;
     Some(match method {
@@ -178,7 +178,7 @@ fn blind_cameras_leave_the_ratio_undetermined() {
 }
 
 #[test]
-fn missing_frames_and_points_are_answers() {
+fn missing_frames_and_points_give_errors_or_valid_ratios() {
     let (all, none) = (World::Curve.views(1.0, 1), Views { points: Vec::new(), ..World::Curve.views(1.0, 1) });
     for method in ScaleMethod::ALL {
         assert!(estimate(method, &none).is_err(), "{}", method.name());

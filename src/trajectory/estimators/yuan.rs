@@ -9,10 +9,10 @@
 //! ```
 //!
 //! `yuan` has one normal n for the clip as in the source, the mean of the local ones; `yuan-local`, a variant of ours
-//! for ground that is no plane, the mean of both frames' local normals. It is constant distance to the ground with
-//! residuals that add up from frame to frame, instead of independent ones.
+//! for ground that is not planar, the mean of both frames' local normals. It is constant distance to the ground with
+//! residuals that accumulate from frame to frame, instead of independent ones.
 //!
-//! **Assumption**: a ground that is plane, or locally so. **Blind** where the camera keeps its height over it.
+//! **Assumption**: a ground that is planar, or locally so. **Blind** where the camera keeps its height over it.
 
 use nalgebra::Vector3;
 
@@ -28,7 +28,7 @@ pub(super) fn ratio(motion: &Motion) -> Result<f64, ScaleError> {
 
 /// r of translations parallel to the local planes.
 pub(super) fn local_ratio(motion: &Motion) -> Result<f64, ScaleError> {
-    // Opposite normals have no mean: such a pair says nothing.
+    // Opposite normals have no mean: such a pair has no weight.
     parallel(motion, |a, b| (motion.normals[a] + motion.normals[b]).try_normalize(0.0).unwrap_or_default())
 }
 

@@ -1,30 +1,29 @@
-//! A body of a given shape, stretched until its outlines are those that were seen: Gauss–Newton with weights that leave
-//! out what does not fit (Cauchy's).
+//! Fit of a body of a given shape to outlines: Gauss–Newton with Cauchy weights, which suppress outliers.
 
 use nalgebra::{Point3, SMatrix, SVector, Vector3};
 
-use super::outline::{OutlineView, seen, support};
+use super::outline::{OutlineView, projected, support};
 use super::template::Template;
 
-/// Unknowns: logarithms of length, width and height; the middle forwards and to the left; the turn about the vertical;
-/// the ground's height.
+/// Number of unknowns: logarithms of length, width and height; the center, forward and to the left; the yaw; the
+/// ground's height.
 pub(super) const NUM: usize = 7;
 /// One value for every unknown.
 pub(super) type Unknowns = SVector<f64, NUM>;
 
-/// Where the search starts and how far it may go from there: a standard deviation for every unknown.
+/// Initial values and prior standard deviations of the unknowns.
 #[derive(Clone, Debug)]
 pub(super) struct Expected {
     pub(super) value: Unknowns,
     pub(super) std: Unknowns,
-    /// Extents of points forwards, backwards, to the left and to the right; none where there are no points.
+    /// Extents of points forward, backward, to the left and to the right; empty without points.
     pub(super) reaches: Vec<Reach>,
-    /// Usual proportions, for vehicles of unknown size.
+    /// Typical proportions, for vehicles of unknown size.
     pub(super) proportions: Vec<Proportion>,
 }
 
 impl Expected {
-    /// Residuals besides those of the outlines and of `value`, with their gradients.
+    /// Residuals of extents and proportions, with their gradients.
     fn rows(&self, value: &Unknowns) -> impl Iterator<Item = (f64, Unknowns)> {
         let reaches = self.reaches.iter().map(|reach| reach.residual(value));
         reaches.chain(self.proportions.iter().map(|proportion| proportion.residual(value)))
@@ -34,10 +33,10 @@ impl Expected {
 /// Logarithm of one dimension over another.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Proportion {
-    /// Which of length (0), width (1) and height (2), over which.
+    /// Numerator and denominator: length (0), width (1) or height (2).
     pub(super) of: [usize; 2],
     pub(super) log: f64,
-    /// Standard deviation of that.
+    /// Its standard deviation.
     pub(super) std: f64,
 }
 
@@ -50,28 +49,28 @@ impl Proportion {
     }
 }
 
-/// Extent of points in a direction along the ground.
+/// Extent of points in a horizontal direction.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Reach {
-    /// Which of length (0) and width (1).
+    /// Length (0) or width (1).
     pub(super) axis: usize,
-    /// 1.0 forwards or to the left, −1.0 the other way.
+    /// 1.0 forward or to the left, −1.0 in the opposite direction.
     pub(super) side: f64,
-    /// Distance along that direction, and a little more: the end of the body if its end was visible.
+    /// Distance along that direction, slightly enlarged: the end of the body if that end was visible.
     pub(super) at: f64,
-    /// Standard deviation of that.
+    /// Its standard deviation.
     pub(super) std: f64,
-    /// True if that end was visible; otherwise the body may extend further.
-    pub(super) is_seen: bool,
+    /// True if that end was visible; otherwise the body may extend farther.
+    pub(super) is_visible: bool,
 }
 
 impl Reach {
-    /// By how many deviations the body ends elsewhere, and which unknowns move its end by how much.
+    /// Residual of the body's end in standard deviations, with its gradient.
     fn residual(&self, value: &Unknowns) -> (f64, Unknowns) {
         let half = 0.5 * value[self.axis].exp();
         let beyond = self.side * value[3 + self.axis] + half - self.at;
         let mut gradient = Unknowns::zeros();
-        if beyond > 0.0 && !self.is_seen {
+        if beyond > 0.0 && !self.is_visible {
             return (0.0, gradient);
         }
         gradient[self.axis] = half / self.std;
@@ -89,13 +88,13 @@ pub(super) struct Fit {
     pub(super) value: Unknowns,
     /// Their covariance.
     pub(super) covariance: SMatrix<f64, NUM, NUM>,
-    /// Robust mean of the squared residuals, in deviations².
+    /// Robust mean of the squared residuals, in units of their variance.
     pub(super) misfit: f64,
-    /// Sum of all squared residuals and of those of what was expected.
+    /// Cost of all residuals, including those of the priors.
     pub(super) cost: f64,
 }
 
-/// Residuals beyond this many deviations lose weight.
+/// Standard deviations beyond which a residual loses weight.
 const CAUCHY: f64 = 2.0;
 
 /// The body's corners in the vehicle's frame.
@@ -109,14 +108,14 @@ fn placed(corners: &[Vector3<f64>], value: &Unknowns) -> Vec<Point3<f64>> {
     corners.iter().map(place).collect()
 }
 
-/// By how many deviations the body reaches beyond every line; `None` where it is not in front of a camera.
-fn residuals(corners: &[Vector3<f64>], sights: &[OutlineView], value: &Unknowns) -> Option<Vec<f64>> {
+/// Distances of the body beyond every line, in standard deviations; `None` where it is not in front of a camera.
+fn residuals(corners: &[Vector3<f64>], views: &[OutlineView], value: &Unknowns) -> Option<Vec<f64>> {
     let body = placed(corners, value);
     let mut all = Vec::new();
-    for sight in sights {
-        let outline: Option<Vec<_>> = body.iter().map(|p| seen(&sight.cam_from_vehicle, p)).collect();
+    for view in views {
+        let outline: Option<Vec<_>> = body.iter().map(|p| projected(&view.cam_from_vehicle, p)).collect();
         let outline = outline?;
-        all.extend(sight.touches.iter().map(|t| (support(&outline, &t.normal) - t.support) / sight.std));
+        all.extend(view.tangents.iter().map(|t| (support(&outline, &t.normal) - t.support) / view.std));
     }
     all.iter().all(|r| r.is_finite()).then_some(all)
 }
@@ -131,23 +130,21 @@ fn cost(residuals: &[f64], value: &Unknowns, expected: &Expected, weight: f64) -
     weight * lines + others + (value - expected.value).component_div(&expected.std).norm_squared()
 }
 
-/// Fits a body to the sights; `weight` is the share of an independent observation that a line is. `None` where it
-/// cannot be seen by all of them, or nothing is determined.
-pub(super) fn fit(
-    template: &'static Template,
-    sights: &[OutlineView],
-    expected: &Expected,
-    weight: f64,
-) -> Option<Fit> {
+/// Fits a body to outlines.
+///
+/// * `weight` – weight of a line, as a share of an independent observation.
+///
+/// `None` where the body is not in front of all cameras, or the fit is singular.
+pub(super) fn fit(template: &'static Template, views: &[OutlineView], expected: &Expected, weight: f64) -> Option<Fit> {
     let corners = template.corners();
     let mut value = expected.value;
-    let mut residual = residuals(&corners, sights, &value)?;
+    let mut residual = residuals(&corners, views, &value)?;
     let mut now = cost(&residual, &value, expected, weight);
     let mut damping = 1e-3;
     let mut normal = SMatrix::<f64, NUM, NUM>::zeros();
-    // A bound for degenerate outlines.
+    // Limit on the iterations for degenerate outlines.
     for _ in 0..30 {
-        let (matrix, gradient) = linearised(&corners, sights, expected, &value, &residual, weight)?;
+        let (matrix, gradient) = linearized(&corners, views, expected, &value, &residual, weight)?;
         normal = matrix;
         let mut damped = matrix;
         for k in 0..NUM {
@@ -155,7 +152,7 @@ pub(super) fn fit(
         }
         let step = damped.cholesky()?.solve(&gradient);
         let next = value - step;
-        let found = residuals(&corners, sights, &next).map(|r| (cost(&r, &next, expected, weight), r));
+        let found = residuals(&corners, views, &next).map(|r| (cost(&r, &next, expected, weight), r));
         match found.filter(|(cost, _)| *cost < now) {
             Some((better, r)) => {
                 let is_done = now - better < 1e-6 * now;
@@ -174,10 +171,10 @@ pub(super) fn fit(
 
 type Linear = (SMatrix<f64, NUM, NUM>, Unknowns);
 
-/// Normal matrix and gradient, by differences.
-fn linearised(
+/// Normal matrix and gradient, by finite differences.
+fn linearized(
     corners: &[Vector3<f64>],
-    sights: &[OutlineView],
+    views: &[OutlineView],
     expected: &Expected,
     value: &Unknowns,
     residual: &[f64],
@@ -185,11 +182,11 @@ fn linearised(
 ) -> Option<Linear> {
     let mut columns: Vec<Vec<f64>> = Vec::with_capacity(NUM);
     for k in 0..NUM {
-        // Step of the differences, in units of the unknowns' expected deviations.
+        // Step of the differences, in units of the prior standard deviations.
         let step = 1e-5 * expected.std[k];
         let mut moved = *value;
         moved[k] += step;
-        let other = residuals(corners, sights, &moved)?;
+        let other = residuals(corners, views, &moved)?;
         columns.push(other.iter().zip(residual).map(|(a, b)| (a - b) / step).collect());
     }
     let prior = expected.std.map(|std| (std * std).recip());

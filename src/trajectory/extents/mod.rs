@@ -1,12 +1,12 @@
 //! Length, width and height of an object.
 //!
-//! The points of a reconstruction stop short of a vehicle's ends, and outlines from a few sides reach beyond them. So a
-//! body of a vehicle's shape ([`template`]) is stretched in length, width and height, shifted and turned a little until
-//! the lines that touch its outline in all frames are those that touch the masks ([`fit`]); docs/maths/extents.md.
-//! Several shapes are tried. Those that fit as well as the best take part in proportion, and their spread is part of
-//! the deviations.
+//! The points of a reconstruction do not reach the ends of a vehicle, and outlines from a few sides reach beyond them.
+//! A body of a vehicle's shape ([`template`]) is therefore scaled in length, width and height, translated and rotated
+//! slightly until the tangents of its outline in all frames are those of the masks ([`fit`]); docs/maths/extents.md.
+//! Several shapes are fitted. They are averaged with weights by their misfit, and their spread is part of the standard
+//! deviations.
 //!
-//! What was not seen has no extent: the length of a vehicle seen from behind.
+//! Dimensions that were not visible are absent: the length of a vehicle in views from behind.
 
 mod fit;
 mod on_ground;
@@ -22,7 +22,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, SMatrix, Unit, UnitQuaternion, Vector
 
 use self::fit::{Expected, Fit, NUM, Reach, Unknowns};
 pub use self::on_ground::BodyOnGround;
-pub(super) use self::on_ground::Stand;
+pub(super) use self::on_ground::GroundView;
 use self::outline::OutlineView;
 use self::template::Template;
 use super::contact::solid_points;
@@ -30,10 +30,10 @@ use super::{Body, Options, Silhouette, View, Views, forward_axis};
 use crate::math::{Rigid3, centroid, median, quantile_range, symmetric_eigen};
 use crate::scene::{BodyCenter, Estimate, FrameId, GroundPlane, Image, ObjectTrajectory, Reconstruction};
 
-/// An object whose extents are asked for.
+/// Object to measure, with its data.
 #[derive(Clone, Copy, Debug)]
 pub struct Subject<'a> {
-    /// Where it was, and its scale ratio.
+    /// Its trajectory and scale ratio.
     pub trajectory: &'a ObjectTrajectory,
     /// The model to which the trajectory refers.
     pub object: &'a Reconstruction,
@@ -41,40 +41,42 @@ pub struct Subject<'a> {
     pub background: &'a Reconstruction,
     /// The local plane of each frame, in the background's frame.
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
-    /// The outlines of its masks; those that the border of the picture cuts are absent.
+    /// Outlines of its masks; truncated ones are absent.
     pub silhouettes: &'a BTreeMap<FrameId, Silhouette>,
     /// Options with which its scale ratio was estimated.
     pub options: &'a Options,
 }
 
-/// Size of an object, in units of the background, and its middle; `None` for what was not visible. Standard deviations
-/// are total ones, including that of the scale ratio.
+/// Size of an object, in units of the background, and its center.
+///
+/// `None` for a dimension that was not visible. Standard deviations are total ones, including that of the scale ratio.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Extents {
-    /// Between its ends.
+    /// Length from rear to front.
     pub length: Option<Estimate>,
-    /// Between its sides, without mirrors.
+    /// Width from side to side, without mirrors.
     pub width: Option<Estimate>,
-    /// Of its roof above the ground.
+    /// Height of its roof above the ground.
     pub height: Option<Estimate>,
-    /// Middle of the body; what was not visible of it is in its covariance. `None` where outlines show nothing.
+    /// Center of the body; its covariance includes dimensions that were not visible. `None` where outlines do not
+    /// determine it.
     pub center: Option<BodyCenter>,
 }
 
-/// Fewest frames that show an object.
-const MIN_SIGHTS: usize = 3;
-/// Standard deviations of the logarithms of length, width and height that no shape of a body accounts for.
+/// Minimum number of frames with an outline of the object.
+const MIN_VIEWS: usize = 3;
+/// Standard deviations of the logarithms of length, width and height by differences from all shapes of bodies.
 const SHAPE_STD: [f64; 3] = [0.02, 0.025, 0.03];
 
-/// Length, width and height of an object. Needs an upright direction: without a plane under it nothing is known.
+/// Measures length, width and height of an object; all are `None` without a ground plane, which gives the vertical.
 pub fn extents(subject: &Subject) -> Extents {
     measured(subject).unwrap_or_default()
 }
 
 fn measured(subject: &Subject) -> Option<Extents> {
-    let start = Start::of(subject)?;
+    let start = InitialBody::of(subject)?;
     let has_heading = start.has_heading;
-    // Without a heading either of the two may be its front.
+    // Without a heading either end may be the front.
     let starts = if has_heading { vec![start] } else { vec![start.turned(), start] };
     let body = Body::of_class(&subject.trajectory.class);
     let fitted: Vec<_> = starts.iter().filter_map(|start| fits(subject, start, body, None)).collect();
@@ -87,20 +89,28 @@ fn measured(subject: &Subject) -> Option<Extents> {
     Some(if has_heading { all } else { logs.longer_first(all) })
 }
 
-/// Weight of a line, and how many independent ones there are; `None` for too few frames.
-fn weight_of(sights: &[OutlineView]) -> Option<(f64, f64)> {
+/// Weight of a line, and the number of independent lines; `None` for too few frames.
+fn weight_of(outline_views: &[OutlineView]) -> Option<(f64, f64)> {
     // The sides of a vehicle's outline.
-    let independent = 4.0 * num_views(sights) as f64;
-    let num_lines: usize = sights.iter().map(|sight| sight.touches.len()).sum();
-    (sights.len() >= MIN_SIGHTS).then(|| ((independent / num_lines.max(1) as f64).min(1.0), independent))
+    let independent = 4.0 * num_views(outline_views) as f64;
+    let num_lines: usize = outline_views.iter().map(|outline_view| outline_view.tangents.len()).sum();
+    (outline_views.len() >= MIN_VIEWS).then(|| ((independent / num_lines.max(1) as f64).min(1.0), independent))
 }
 
-/// Bodies of all shapes that the object may have, and how many independent lines they rest on; shape and size are those
-/// of `known` where given. `None` where too few frames show the object.
-fn fits(subject: &Subject, start: &Start, body: Body, known: Option<&PlacedFit>) -> Option<(Vec<PlacedFit>, f64)> {
-    let sights = start.sights(subject);
-    let (weight, independent) = weight_of(&sights)?;
-    let mut expected = start.expected(&sights);
+/// Fits bodies of all shapes that the object may have; returns them with the number of independent lines.
+///
+/// * `known` – body of known shape and size, if any.
+///
+/// `None` if too few frames show the object.
+fn fits(
+    subject: &Subject,
+    start: &InitialBody,
+    body: Body,
+    known: Option<&PlacedFit>,
+) -> Option<(Vec<PlacedFit>, f64)> {
+    let outline_views = start.outline_views(subject);
+    let (weight, independent) = weight_of(&outline_views)?;
+    let mut expected = start.expected(&outline_views);
     for (known, k) in known.into_iter().flat_map(|known| (0..3).map(move |k| (known, k))) {
         expected.value[k] = known.fit.value[k];
         expected.std[k] = known.fit.covariance[(k, k)].sqrt();
@@ -108,25 +118,26 @@ fn fits(subject: &Subject, start: &Start, body: Body, known: Option<&PlacedFit>)
     let is_tried = |shape: &&'static Template| known.is_none_or(|known| std::ptr::eq(known.fit.template, *shape));
     let object_from_vehicle = start.vehicle_from_object.inverse();
     let shapes = template::of_body(body).iter().filter(is_tried);
-    let fits = shapes.filter_map(|shape| fit::fit(shape, &sights, &expected, weight));
+    let fits = shapes.filter_map(|shape| fit::fit(shape, &outline_views, &expected, weight));
     Some((fits.map(|fit| PlacedFit { fit, object_from_vehicle }).collect(), independent))
 }
 
-/// The vehicle's frame (x forward, y left, z up, origin on the ground below the middle of its points) and how far its
-/// points reach.
+/// Initial frame of the vehicle, and the extents of its points.
+///
+/// x is forward, y left, z up; the origin is on the ground below the center of the points.
 #[derive(Clone, Debug)]
-struct Start {
+struct InitialBody {
     vehicle_from_object: Rigid3,
     points: Vec<Point3<f64>>,
-    /// True if its motion shows the heading; otherwise its points lie along one direction or another.
+    /// True if the motion determines the heading; otherwise x is the direction of the largest spread of the points.
     has_heading: bool,
-    /// Length, width and height over which the points spread.
+    /// Length, width and height of the points.
     size: Vector3<f64>,
-    /// Extents forwards, backwards, to the left and to the right.
+    /// Extents forward, backward, to the left and to the right.
     reach: [f64; 4],
 }
 
-impl Start {
+impl InitialBody {
     fn of(subject: &Subject) -> Option<Self> {
         let views = Views::new(subject.background, subject.object, subject.planes, subject.options).views;
         let up = views.iter().map(|view| view.normal_in_object).sum::<Vector3<f64>>();
@@ -134,10 +145,10 @@ impl Start {
         let points = solid_points(subject.object, &subject.options.joint.contact);
         let middle = centroid(&points);
         let ratio = subject.trajectory.scale.ratio;
-        // Where the plane of a view crosses the vertical through the middle.
+        // Intersection of the plane of a view with the vertical through the center.
         let below = |view: &View| -(view.camera_height / ratio + view.offset(&middle)) / view.normal_in_object.dot(&up);
         let ground = median(views.iter().map(below).filter(|z| z.is_finite()).collect())?;
-        let axis = forward_axis(&subject.trajectory.poses).filter(|_| has_travelled(subject, &points, &middle));
+        let axis = forward_axis(&subject.trajectory.poses).filter(|_| has_moved(subject, &points, &middle));
         let moved = axis.and_then(|axis| across(&axis, &up));
         let has_heading = moved.is_some();
         let forward = moved.or_else(|| longest(&points, &middle, &up))?;
@@ -148,7 +159,7 @@ impl Start {
         let points: Vec<_> = points.iter().map(|p| vehicle_from_object * *p).collect();
         let spread = |k: usize| quantile_range(&mut points.iter().map(|p| p[k]).collect::<Vec<_>>(), 0.02);
         let ([x0, x1], [y0, y1], [_, top]) = (spread(0)?, spread(1)?, spread(2)?);
-        // The roof is a little higher than all but 2 % of the points.
+        // The roof is slightly above the 98 % quantile of the points.
         let (size, reach) = (Vector3::new(x1 - x0, y1 - y0, 1.025 * top), [x1, -x0, y1, -y0]);
         (top > 0.0 && size.iter().all(|s| s.is_finite())).then_some(Self {
             vehicle_from_object,
@@ -172,21 +183,21 @@ impl Start {
         }
     }
 
-    /// Expected size before outlines are used.
-    fn expected(&self, sights: &[OutlineView]) -> Expected {
+    /// Prior on the body, before the outlines are used.
+    fn expected(&self, outline_views: &[OutlineView]) -> Expected {
         let height = self.size.z;
-        // Points of one end or side say nothing of what is behind it: a car is 4.4 m long, 1.8 m wide and 1.5 m high.
+        // Points of one end or side do not show the opposite one: a car is 4.4 m long, 1.8 m wide and 1.5 m high.
         let (length, width) = (self.size.x.max(2.9 * height), self.size.y.max(1.2 * height));
         let yaw = if self.has_heading { 0.03 } else { 0.2 };
-        let directions: Vec<Vector3<f64>> = sights.iter().map(OutlineView::direction).collect();
+        let directions: Vec<Vector3<f64>> = outline_views.iter().map(OutlineView::direction).collect();
         let reach = |k: usize| {
             let (axis, side) = (k / 2, if k.is_multiple_of(2) { 1.0 } else { -1.0 });
-            // The cosine between the line of sight and an end's normal from which on its points are seen.
+            // Minimum cosine between the line of sight and the normal of an end whose points are visible.
             let facing = directions.iter().filter(|d| -side * d[axis] > 0.35).count();
-            let is_seen = facing >= MIN_SIGHTS.max(directions.len() / 10);
-            // A visible end is a little beyond all but 2 % of the points.
+            let is_visible = facing >= MIN_VIEWS.max(directions.len() / 10);
+            // A visible end is slightly beyond the 98 % quantile of the points.
             let [at, std] = [self.reach[k] + 0.04 * height, 0.08 * height];
-            Reach { axis, side, at, std, is_seen }
+            Reach { axis, side, at, std, is_visible }
         };
         Expected {
             value: Unknowns::from([length.ln(), width.ln(), height.ln(), 0.0, 0.0, 0.0, 0.0]),
@@ -198,36 +209,36 @@ impl Start {
         }
     }
 
-    /// The outlines, of at most 60 frames spread over all.
-    fn sights(&self, subject: &Subject) -> Vec<OutlineView> {
+    /// Outlines of at most 60 frames, evenly spaced.
+    fn outline_views(&self, subject: &Subject) -> Vec<OutlineView> {
         let images = subject.object.images.iter();
         let seen: Vec<_> =
             images.filter_map(|(id, image)| Some((image, subject.silhouettes.get(&id.frame())?))).collect();
-        // Frames that are looked at, at most, spread over all.
+        // Maximum number of frames used.
         let step = seen.len().div_ceil(60).max(1);
-        let sight = |(image, outline): &(&Image, &Silhouette)| {
+        let outline_view = |(image, outline): &(&Image, &Silhouette)| {
             let camera = subject.object.projecting_camera(image)?;
             let cam_from_vehicle = image.cam_from_world * self.vehicle_from_object.inverse();
             OutlineView::new(camera, cam_from_vehicle, outline, &self.points)
         };
-        seen.iter().step_by(step).filter_map(sight).collect()
+        seen.iter().step_by(step).filter_map(outline_view).collect()
     }
 }
 
-/// Returns true if the object went further than its size: the direction of less is noise.
-fn has_travelled(subject: &Subject, points: &[Point3<f64>], middle: &Point3<f64>) -> bool {
+/// Returns true if the object moved farther than its size: the direction of shorter displacements is noise.
+fn has_moved(subject: &Subject, points: &[Point3<f64>], middle: &Point3<f64>) -> bool {
     let poses = &subject.trajectory.poses;
-    let furthest = poses.iter().filter_map(|pose| Some(pose.distance_to(poses.first()?))).fold(0.0, f64::max);
+    let farthest = poses.iter().filter_map(|pose| Some(pose.distance_to(poses.first()?))).fold(0.0, f64::max);
     let size = points.iter().map(|p| (p - middle).norm()).fold(0.0, f64::max);
-    furthest > subject.trajectory.scale.ratio * size
+    farthest > subject.trajectory.scale.ratio * size
 }
 
-/// The part of a direction across another; `None` where they are nearly the same.
+/// Component of a direction perpendicular to another, normalized; `None` where they are nearly parallel.
 fn across(axis: &Unit<Vector3<f64>>, up: &Unit<Vector3<f64>>) -> Option<Vector3<f64>> {
     (axis.into_inner() - up.scale(axis.dot(up))).try_normalize(0.1)
 }
 
-/// The direction across `up` along which points spread most.
+/// Direction perpendicular to `up` of the largest spread of points.
 fn longest(points: &[Point3<f64>], middle: &Point3<f64>, up: &Unit<Vector3<f64>>) -> Option<Vector3<f64>> {
     let scatter = points.iter().map(|p| {
         let d = p - middle;
@@ -239,11 +250,11 @@ fn longest(points: &[Point3<f64>], middle: &Point3<f64>, up: &Unit<Vector3<f64>>
     across(&axis, up)
 }
 
-/// Directions that differ, from which the sights look.
-fn num_views(sights: &[OutlineView]) -> usize {
+/// Number of distinct viewing directions.
+fn num_views(outline_views: &[OutlineView]) -> usize {
     let mut distinct: Vec<Vector3<f64>> = Vec::new();
-    for direction in sights.iter().map(OutlineView::direction) {
-        // Closer ones tell the same.
+    for direction in outline_views.iter().map(OutlineView::direction) {
+        // Closer ones are not independent.
         if distinct.iter().all(|other| other.angle(&direction) > 0.1) {
             distinct.push(direction);
         }
@@ -251,7 +262,7 @@ fn num_views(sights: &[OutlineView]) -> usize {
     distinct.len().max(1)
 }
 
-/// A body of a vehicle's shape that is fitted to the outlines of one map, and the vehicle's frame in the object's.
+/// Body fitted to the outlines of one map, and the vehicle's frame in the object's.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct PlacedFit {
     fit: Fit,
@@ -259,10 +270,11 @@ pub(super) struct PlacedFit {
 }
 
 impl PlacedFit {
-    /// The body that fits best; shape and size are those of `known` where given. `None` where the motion does not show
-    /// the heading, or too few frames show the object.
+    /// Best fit of a body; shape and size are those of `known` where given.
+    ///
+    /// `None` where the motion does not determine the heading, or too few frames show the object.
     pub(super) fn of(subject: &Subject, body: Body, known: Option<&Self>) -> Option<Self> {
-        let start = Start::of(subject).filter(|start| start.has_heading)?;
+        let start = InitialBody::of(subject).filter(|start| start.has_heading)?;
         let (fits, _) = fits(subject, &start, body, known)?;
         fits.into_iter().min_by(|a, b| a.fit.misfit.total_cmp(&b.fit.misfit))
     }
@@ -272,7 +284,7 @@ impl PlacedFit {
         self.fit.covariance[(0, 0)].sqrt()
     }
 
-    /// From the body's frame (x forward, y left, z up, origin on the ground below its middle) to the map's.
+    /// Transform from the body's frame (x forward, y left, z up, origin on the ground below its center) to the map's.
     pub(super) fn object_from_body(&self) -> Rigid3 {
         let (value, axis) = (&self.fit.value, Vector3::z_axis());
         let turned = UnitQuaternion::from_axis_angle(&axis, value[5]);
@@ -288,7 +300,7 @@ impl PlacedFit {
             by_unknowns[(row, unknown)] = 1.0;
         }
         by_unknowns[(2, 2)] = 0.5 * size[2];
-        // An end that is off moves the middle by half of that.
+        // The error of an end moves the center by half of it.
         let of_shape = Vector3::from_fn(|k, _| (0.5 * SHAPE_STD[k] * size[k]).powi(2));
         let in_vehicle = by_unknowns * covariance * by_unknowns.transpose() + Matrix3::from_diagonal(&of_shape);
         let rotation = self.object_from_vehicle.rotation.to_rotation_matrix();
@@ -297,10 +309,10 @@ impl PlacedFit {
     }
 }
 
-/// Bodies of all shapes, each weighted by how well it fits.
+/// Bodies of all shapes, weighted by their misfit.
 struct Weighted {
     fits: Vec<PlacedFit>,
-    /// Their sum is one.
+    /// Normalized to a sum of one.
     weights: Vec<f64>,
 }
 
@@ -341,7 +353,7 @@ struct Logs {
 }
 
 impl Logs {
-    /// Mean of all shapes, and how far they are from it.
+    /// Mean over all shapes, with a standard deviation that includes their spread.
     fn of(fits: &Weighted) -> Option<Self> {
         let (mut value, mut std) = ([0.0; 3], [0.0; 3]);
         for k in 0..3 {
@@ -353,23 +365,23 @@ impl Logs {
         value.iter().chain(&std).all(|x| x.is_finite()).then_some(Self { value, std })
     }
 
-    /// In units of the background; `None` where it is not sure enough to have been seen.
+    /// Estimate in units of the background; `None` where its uncertainty shows that it was not visible.
     fn estimate(&self, k: usize, ratio: f64, scale_std: f64) -> Option<Estimate> {
         let Estimate { value, std } = self.within(k, 0.1)?;
         let (value, std) = (ratio * value, ratio * std.hypot(value * scale_std));
         (value.is_finite() && std.is_finite()).then_some(Estimate { value, std })
     }
 
-    /// In units of the object; `None` where its relative standard deviation exceeds a limit.
+    /// Estimate in units of the object; `None` where its relative standard deviation exceeds a limit.
     fn within(&self, k: usize, limit: f64) -> Option<Estimate> {
         let value = self.value[k].exp();
         (self.std[k] < limit).then_some(Estimate { value, std: value * self.std[k] })
     }
 
-    /// Without a direction in which the object points: the longer side is its length where one clearly is.
+    /// Assignment of length and width without a heading: the longer side is the length, if the difference is clear.
     fn longer_first(&self, all: Extents) -> Extents {
         let difference = self.value[0] - self.value[1];
-        // Extents that differ by this many deviations are not equal.
+        // Extents that differ by more standard deviations are not equal.
         let is_clear = difference.abs() > 2.0 * self.std[0].hypot(self.std[1]);
         match (is_clear, difference > 0.0) {
             (true, true) => all,

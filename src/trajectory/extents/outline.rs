@@ -1,4 +1,4 @@
-//! Outlines as lines that touch the vehicle, and what of them is to be believed.
+//! Outlines as tangent lines of the vehicle, without occluded ones.
 
 use nalgebra::{Point3, Vector2, Vector3};
 
@@ -6,32 +6,34 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, quantile};
 use crate::trajectory::Silhouette;
 
-/// A line of the picture that touches the vehicle's outline from one side.
+/// Line in the image that touches the vehicle's outline from one side.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Touch {
+pub(super) struct Tangent {
     /// Unit normal of the line, away from the vehicle, in coordinates of z = 1.
     pub(super) normal: Vector2<f64>,
-    /// Where the line is along the normal.
+    /// Position of the line along the normal.
     pub(super) support: f64,
 }
 
-/// One frame's outline.
+/// Outline in one frame.
 #[derive(Clone, Debug)]
 pub(super) struct OutlineView {
     /// The camera, in the vehicle's frame.
     pub(super) cam_from_vehicle: Rigid3,
-    /// Lines all round.
-    pub(super) touches: Vec<Touch>,
-    /// Standard deviation of where a line is, in coordinates of z = 1.
+    /// Lines in all directions.
+    pub(super) tangents: Vec<Tangent>,
+    /// Standard deviation of the position of a line, in coordinates of z = 1.
     pub(super) std: f64,
 }
 
-/// Directions in which lines touch an outline.
+/// Number of directions of the tangent lines of an outline.
 const DIRECTIONS: u32 = 16;
 
 impl OutlineView {
-    /// From a frame's outline; `None` behind the camera. Lines beyond which the vehicle's own points lie are left out:
-    /// something hides it on that side. Without points nothing is left out.
+    /// Tangent lines of a frame's outline; `None` behind the camera.
+    ///
+    /// Lines beyond which the vehicle's own points are located are skipped: the vehicle is occluded on that side.
+    /// Without points no line is skipped.
     pub(super) fn new(
         camera: &Camera,
         cam_from_vehicle: Rigid3,
@@ -40,23 +42,23 @@ impl OutlineView {
     ) -> Option<Self> {
         let hull: Vec<Vector2<f64>> = outline.hull.iter().map(|pixel| camera.normalized_from_pixel(*pixel)).collect();
         let border = Silhouette::BORDER_PX / camera.mean_focal();
-        let inside: Vec<Vector2<f64>> = points_in_vehicle.iter().filter_map(|p| seen(&cam_from_vehicle, p)).collect();
+        let inside: Vec<Vector2<f64>> =
+            points_in_vehicle.iter().filter_map(|p| projected(&cam_from_vehicle, p)).collect();
         let size = diameter(&hull);
-        // A network or a renderer draws it to a pixel, and a body's shape is known to 1.2 % of how large it looks.
+        // Masks of a network or a renderer are accurate to a pixel, and a body's shape to 1.2 % of its apparent size.
         let std = camera.mean_focal().recip().hypot(0.012 * size);
-        let touches = (0..DIRECTIONS).filter_map(|k| {
+        let tangents = (0..DIRECTIONS).filter_map(|k| {
             let angle = f64::from(k) * std::f64::consts::TAU / f64::from(DIRECTIONS);
             let normal = Vector2::new(angle.cos(), angle.sin());
             let support = support(&hull, &normal) + border;
-            // By how many of these deviations points of the vehicle may lie outside of an outline before the vehicle
-            // counts as hidden there.
-            let is_hidden = reach(&inside, &normal).is_some_and(|reach| reach > support + 2.0 * std);
-            (!is_hidden).then_some(Touch { normal, support })
+            // Points of the vehicle more than two of these standard deviations outside of an outline show an occlusion.
+            let is_occluded = reach(&inside, &normal).is_some_and(|reach| reach > support + 2.0 * std);
+            (!is_occluded).then_some(Tangent { normal, support })
         });
-        let touches: Vec<Touch> = touches.collect();
-        (touches.iter().all(|touch| touch.support.is_finite()) && std.is_finite()).then_some(Self {
+        let tangents: Vec<Tangent> = tangents.collect();
+        (tangents.iter().all(|tangent| tangent.support.is_finite()) && std.is_finite()).then_some(Self {
             cam_from_vehicle,
-            touches,
+            tangents,
             std,
         })
     }
@@ -67,8 +69,8 @@ impl OutlineView {
     }
 }
 
-/// Where a point of the vehicle is seen, in coordinates of z = 1.
-pub(super) fn seen(cam_from_vehicle: &Rigid3, point: &Point3<f64>) -> Option<Vector2<f64>> {
+/// Projection of a point of the vehicle, in coordinates of z = 1; `None` behind the camera.
+pub(super) fn projected(cam_from_vehicle: &Rigid3, point: &Point3<f64>) -> Option<Vector2<f64>> {
     let p = *cam_from_vehicle * *point;
     (p.z > f64::EPSILON).then(|| Vector2::new(p.x / p.z, p.y / p.z))
 }
@@ -78,9 +80,9 @@ pub(super) fn support(points: &[Vector2<f64>], normal: &Vector2<f64>) -> f64 {
     points.iter().map(|p| normal.dot(p)).fold(f64::NEG_INFINITY, f64::max)
 }
 
-/// Support of nearly all points in a direction: inside of an outline that hides nothing.
+/// Support of nearly all points in a direction, which is inside of an outline without occlusion.
 fn reach(points: &[Vector2<f64>], normal: &Vector2<f64>) -> Option<f64> {
-    // Share of the points that lie inside of an outline that hides nothing.
+    // Share of the points that are inside of an outline without occlusion.
     quantile(&mut points.iter().map(|p| normal.dot(p)).collect::<Vec<_>>(), 0.97)
 }
 

@@ -1,24 +1,24 @@
 //! Shapes of vehicle bodies for their outlines: convex hulls of a few corners.
 //!
-//! Coordinates are shares: of the length from the middle forwards, of the width from the middle plane, and of the
-//! height of the roof above the ground. The lower body, roofs and bonnets of cars lie between those of drawings of
-//! current cars and of the six car bodies of the rendered sequences (docs/maths/extents.md). Mirrors belong to an
-//! outline and not to the width.
+//! Coordinates are shares: of the length, forward from the center; of the width, from the center plane; and of the
+//! height of the roof above the ground. The lower body, roofs and hoods of cars are between those of drawings of
+//! current cars and of the six car bodies of the rendered sequences (docs/maths/extents.md). Mirrors belong to the
+//! outline, but not to the width.
 
 use nalgebra::Vector3;
 
 use crate::trajectory::Body;
 
-/// A corner on either side: forwards, half of the distance between the two, above the ground.
+/// A pair of corners: forward position, half of the distance between the two, height above the ground.
 type Rib = [f64; 3];
 
-/// A body.
+/// Shape of a body.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Template {
     ribs: &'static [Rib],
 }
 
-/// The lower part that cars have in common: tyres, sills, bumpers and waist, and mirrors.
+/// The common lower part of cars: tires, sills, bumpers and waist, and mirrors.
 macro_rules! car {
     ($($rib:expr),+ $(,)?) => {
         Template {
@@ -72,7 +72,7 @@ const TWO_WHEELER: Template = Template {
     ],
 };
 
-/// The bodies that a vehicle of a kind may have. What is only known to be a vehicle may have any of them.
+/// Possible shapes of a vehicle by its kind of body.
 pub(super) fn of_body(body: Body) -> &'static [Template] {
     match body {
         Body::Car => &[SALOON, HATCHBACK, VAN, BOX],

@@ -9,12 +9,12 @@ use crate::math::Sim3;
 use crate::scene::{CameraId, Frame, ImageId, ObjectId, PlaneBasis, Point3d, Point3dId, ScaleEstimate, ScaleMethod};
 use crate::trajectory::{ObjectDescription, assemble};
 
-/// Length, width and height of the car that the tests look at, metres; its model's unit is the metre.
+/// Length, width and height of the car in the tests, meters; the unit of its model is the meter.
 const CAR: [f64; 3] = [4.4, 1.8, 1.5];
-/// Units of the background in a metre.
+/// Units of the background in a meter.
 const RATIO: f64 = 2.0;
 
-/// A car in the middle, cameras around it.
+/// A car at the origin, with cameras around it.
 struct World {
     object: Reconstruction,
     background: Reconstruction,
@@ -86,7 +86,7 @@ fn level() -> GroundPlane {
 }
 
 impl World {
-    /// Lets the car drive forwards.
+    /// Moves the car forward.
     fn drive(mut self) -> Self {
         for (k, pose) in self.trajectory.poses.iter_mut().enumerate() {
             pose.position = [k as f64, 0.0, 0.0];
@@ -116,7 +116,7 @@ impl World {
 }
 
 #[test]
-fn bodies_of_two_sub_maps_tell_how_their_frames_are_related() {
+fn bodies_of_two_sub_maps_align_their_frames() {
     let side = world(&[50.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 120.0, 130.0]).drive();
     let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.1);
     let rear_from_side = Rigid3::new(turn, Vector3::new(0.7, -0.3, 0.0));
@@ -129,32 +129,32 @@ fn bodies_of_two_sub_maps_tell_how_their_frames_are_related() {
     assert!(PlacedFit::of(&world(&[50.0, 60.0, 70.0]).subject(), Body::Car, None).is_none());
 }
 
-/// Returns true if an extent is right within two standard deviations and a tenth.
-fn is_near(found: Option<Estimate>, metres: f64) -> bool {
-    found.is_some_and(|e| (e.value - RATIO * metres).abs() < 2.0 * e.std && e.std < 0.1 * e.value)
+/// Returns true if the error of an extent is below two standard deviations, and one standard deviation below a tenth.
+fn is_near(found: Option<Estimate>, meters: f64) -> bool {
+    found.is_some_and(|e| (e.value - RATIO * meters).abs() < 2.0 * e.std && e.std < 0.1 * e.value)
 }
 
 #[test]
-fn a_car_seen_from_all_sides_is_measured() {
+fn a_car_visible_from_all_sides_is_measured() {
     let azimuths: Vec<f64> = (0..12).map(|k| 30.0 * f64::from(k)).collect();
     let found = world(&azimuths).drive().extents();
     assert!(
         is_near(found.length, CAR[0]) && is_near(found.width, CAR[1]) && is_near(found.height, CAR[2]),
         "{found:?}"
     );
-    // The deviation of the scale ratio is in that of every extent.
+    // The standard deviation of every extent includes that of the scale ratio.
     assert!(found.height.is_some_and(|height| height.std > 0.01 * height.value));
 }
 
 #[test]
-fn a_parked_car_points_along_its_longer_side() {
+fn the_length_of_a_stationary_car_is_its_longer_side() {
     let azimuths: Vec<f64> = (0..12).map(|k| 30.0 * f64::from(k)).collect();
     let found = world(&azimuths).extents();
     assert!(is_near(found.length, CAR[0]) && is_near(found.width, CAR[1]), "{found:?}");
 }
 
 #[test]
-fn the_middle_of_a_body_is_found_from_one_side_of_it() {
+fn the_center_of_a_body_is_estimated_from_one_side() {
     let turn = UnitQuaternion::from_euler_angles(0.4, -0.2, 1.1);
     let other_frame = Rigid3::new(turn, Vector3::new(0.7, -0.3, 5.0));
     let mut world = world(&[35.0, 50.0, 65.0, 80.0, 100.0, 115.0, 130.0, 145.0]).drive().in_frame(&other_frame);
@@ -194,7 +194,7 @@ fn from_behind_a_car_has_no_length() {
 }
 
 #[test]
-fn a_car_hidden_in_half_of_the_frames_keeps_its_size() {
+fn a_car_occluded_in_half_of_the_frames_keeps_its_size() {
     let azimuths: Vec<f64> = (0..24).map(|k| 15.0 * f64::from(k)).collect();
     let mut world = world(&azimuths).drive();
     for silhouette in world.silhouettes.values_mut().step_by(2) {
@@ -209,7 +209,7 @@ fn a_car_hidden_in_half_of_the_frames_keeps_its_size() {
 }
 
 #[test]
-fn what_was_not_seen_has_no_extents() {
+fn missing_data_give_no_extents() {
     let mut world = world(&[0.0, 90.0, 180.0]).drive();
     world.silhouettes.pop_first();
     assert_eq!(world.extents(), Extents::default());

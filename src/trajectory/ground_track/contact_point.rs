@@ -1,5 +1,6 @@
-//! The middle of a vehicle's footprint by one mask, with its error: half of the footprint's depth behind the contact
-//! with the ground on the camera's side.
+//! Center of a vehicle's footprint from one mask, with its error.
+//!
+//! It is half of the footprint's depth behind the contact with the ground on the camera's side.
 
 use nalgebra::{Matrix2, Matrix3, Matrix3x2, Point2, Point3, Vector2, Vector3};
 
@@ -14,23 +15,23 @@ use crate::trajectory::Silhouette;
 const EDGE_PX: f64 = 0.5;
 /// Part of the same standard deviation that grows with the mask, as a share of its extent across the edge.
 const EDGE_SHARE: f64 = 0.01;
-/// Constant part of the standard deviation of a mask's edge that all frames share, pixels: shadows below the vehicle
-/// are taken for it, or its tires are not. On the same sequences it is 1 to 2 px in all at 100 to 150 px.
+/// Constant part of the standard deviation of a mask's edge that all frames share, pixels: masks include shadows below
+/// the vehicle, or exclude its tires. On the same sequences it is 1 to 2 px in all at 100 to 150 px.
 const BIAS_PX: f64 = 1.0;
 /// Part of the same standard deviation that grows with the mask, as a share of its extent across the edge.
 const BIAS_SHARE: f64 = 0.02;
 
-/// Where a vehicle stands on the ground.
+/// Contact of a vehicle with the ground.
 #[derive(Clone, Debug)]
 pub(super) struct ContactPoint {
-    /// The middle of its footprint.
+    /// Center of its footprint.
     pub(super) position: Point3<f64>,
     pub(super) error: ContactError,
     /// Width and height of the mask at the distance of the point.
     pub(super) apparent_size: [f64; 2],
 }
 
-/// The lower edge of a mask in the image.
+/// Lower edge of a mask in the image.
 struct LowerEdge {
     /// Middle of the edge.
     pixel: Point2<f64>,
@@ -40,7 +41,7 @@ struct LowerEdge {
     size: [f64; 2],
 }
 
-/// A ray of a camera over a plane.
+/// Camera over a plane, for the intersection of its rays with the plane.
 struct Ray<'a> {
     camera: &'a Camera,
     cam_from_world: &'a Rigid3,
@@ -52,10 +53,10 @@ struct Ray<'a> {
 impl ContactPoint {
     /// Finds the contact point.
     ///
-    /// * `occluders` – outlines that may hide the vehicle.
+    /// * `occluders` – outlines that may occlude the vehicle.
     ///
     /// # Errors
-    /// Why the frame has none.
+    /// The reason why the frame has none.
     pub(super) fn find(
         (camera, cam_from_world): (&Camera, &Rigid3),
         plane: &GroundPlane,
@@ -66,43 +67,42 @@ impl ContactPoint {
         let height = plane.signed_distance(cam_from_world.center());
         let ray = Ray { camera, cam_from_world, plane, height };
         let edge = Some(ray.lower_edge(outline)).filter(|_| height > 0.0).flatten().ok_or(NoContact::NoGroundPlane)?;
-        // Pixels below the edge that another vehicle's mask must cover to hide it.
+        // The edge is occluded if another vehicle's mask contains the point this many pixels below it.
         let below = edge.pixel + edge.down * 3.0;
         if occluders.iter().any(|other| other.contains(below, 0.0)) {
             return Err(NoContact::Occluded);
         }
-        let position = ray.meets(edge.pixel).ok_or(NoContact::NearHorizon)?;
+        let position = ray.intersection(edge.pixel).ok_or(NoContact::NearHorizon)?;
         let found = ray.with_error(position, &edge, focal).ok_or(NoContact::NearHorizon)?;
-        let sight = position - cam_from_world.center();
-        let along = sight.normalize();
+        let line_of_sight = position - cam_from_world.center();
+        let along = line_of_sight.normalize();
         let variance = (along.transpose() * found.error.covariance() * along)[0];
-        // Three standard deviations of a third of the distance reach infinity.
-        let is_known = variance.sqrt() <= 1.0 / 3.0 * sight.norm();
+        // With a standard deviation of a third of the distance, three standard deviations reach infinity.
+        let is_known = variance.sqrt() <= 1.0 / 3.0 * line_of_sight.norm();
         is_known.then_some(found).ok_or(NoContact::NearHorizon)
     }
 }
 
 impl Ray<'_> {
-    /// The point of the plane that a pixel shows; `None` at the horizon and above.
-    fn meets(&self, pixel: Point2<f64>) -> Option<Point3<f64>> {
+    /// Point of the plane at a pixel; `None` at the horizon and above.
+    fn intersection(&self, pixel: Point2<f64>) -> Option<Point3<f64>> {
         let ray = self.cam_from_world.rotation.inverse() * self.camera.normalized_from_pixel(pixel).push(1.0);
         let sinking = -self.plane.normal.dot(&ray);
         let point = self.cam_from_world.center() + ray * (self.height / sinking);
         (sinking > 0.0 && point.iter().all(|x| x.is_finite())).then_some(point)
     }
 
-    /// The point that a pixel shows under another focal length, on the plane that goes with it, as far below the
-    /// camera.
+    /// Point of the plane at a pixel for another focal length and its plane, at the same distance below the camera.
     ///
     /// * `turn` – change of the plane's normal.
     fn with_focal(&self, pixel: Point2<f64>, log_focal: f64, turn: Vector3<f64>) -> Option<Point3<f64>> {
         let normal = (self.plane.normal + turn).normalize();
         let plane = GroundPlane { normal, ..*self.plane };
         let camera = self.camera.zoomed(log_focal.exp());
-        Ray { camera: &camera, plane: &plane, ..*self }.meets(pixel)
+        Ray { camera: &camera, plane: &plane, ..*self }.intersection(pixel)
     }
 
-    /// The lower edge of an outline; `None` where the pixels have no direction towards the ground.
+    /// Lower edge of an outline; `None` where the pixels have no direction towards the ground.
     fn lower_edge(&self, outline: &Silhouette) -> Option<LowerEdge> {
         let count = outline.hull.len().max(1) as f64;
         let middle = Point2::from(outline.hull.iter().map(|corner| corner.coords).sum::<Vector2<f64>>() / count);
@@ -125,29 +125,29 @@ impl Ray<'_> {
         let up = self.cam_from_world.rotation * self.plane.normal;
         let step = 1e-3 * ray.norm();
         let moved = self.camera.pixel_from_cam(Point3::from(ray - up * step))?;
-        // To a degree straight below the camera every direction leads away from it; the lower edge of the image serves
-        // as well.
+        // Within a degree of the nadir every direction leads away from it; the direction to the lower edge of the image
+        // is used.
         let is_steep = up.cross(&ray.normalize()).norm() < 0.02;
         if is_steep { Some(Vector2::y()) } else { (moved - pixel).try_normalize(0.0) }
     }
 
-    /// The middle of the footprint with its error; `None` where a pixel further up meets no ground.
+    /// Center of the footprint with its error; `None` where the ray of a higher pixel does not intersect the ground.
     ///
     /// * `position` – the contact with the ground on the camera's side.
     fn with_error(&self, position: Point3<f64>, edge: &LowerEdge, focal: &FocalError) -> Option<ContactPoint> {
         let LowerEdge { pixel, down, size: [width_px, height_px] } = *edge;
         let along = Vector2::new(-down.y, down.x);
-        // Per pixel: towards the horizon, where the error is greater, and along the edge.
+        // Displacement per pixel: towards the horizon, where the error is larger, and along the edge.
         let step = 0.5;
-        let away = (self.meets(pixel - down * step)? - position) / step;
-        let aside = (self.meets(pixel + along * step)? - position) / step;
+        let away = (self.intersection(pixel - down * step)? - position) / step;
+        let aside = (self.intersection(pixel + along * step)? - position) / step;
         let jacobian = Matrix3x2::from_columns(&[away, aside]);
         let [edge_px, side_px] = [height_px, width_px].map(|extent| EDGE_PX.hypot(EDGE_SHARE * extent));
         let bias_px = BIAS_PX.hypot(BIAS_SHARE * height_px);
-        let sight = position - self.cam_from_world.center();
-        let distance = sight.norm();
+        let line_of_sight = position - self.cam_from_world.center();
+        let distance = line_of_sight.norm();
         let sinking = self.height / distance;
-        // A pixel across the line of sight, at the distance of the point.
+        // Size of a pixel across the line of sight, at the distance of the point.
         let pixel_size = distance / self.camera.mean_focal();
         let apparent_size = [width_px, height_px].map(|extent| pixel_size * extent);
         let noise: Matrix3<f64> = jacobian
@@ -155,19 +155,19 @@ impl Ray<'_> {
             * jacobian.transpose();
         let level = away.try_normalize(0.0)?;
         let (depth, depth_std) = footprint::depth(apparent_size, sinking)?;
-        // A plane that is higher moves the point towards the camera along the ray; all else moves it along the ground.
+        // A higher plane moves the point towards the camera along the ray; other errors move it along the ground.
         let shift = |plane_std: f64, of_mask: f64, of_depth: f64| {
             let per_height = (1.0 - sinking * sinking).max(0.0).sqrt() / sinking;
             level * of_mask.hypot(of_depth).hypot(per_height * plane_std) - self.plane.normal * plane_std
         };
-        // Masks that are propagated from frame to frame keep their error for a while, and so does a view.
+        // Errors of masks that are propagated from frame to frame persist for a while, and so do those of the view.
         let drift = shift(self.plane.own_height_std(), away.norm() * edge_px, 0.5 * depth_std);
         let common = shift(self.plane.common_height_std, away.norm() * bias_px, 0.0);
         let by_focal = match focal.turns {
             None => level * (focal.std * distance),
             Some(turns) => {
                 let [shorter, longer] = [-1.0, 1.0].map(|sign| self.with_focal(pixel, sign * focal.std, turns * sign));
-                // The footprint is the less deep, too.
+                // The depth of the footprint changes, too.
                 0.5 * (longer? - shorter?) - level * (0.5 * depth * focal.std)
             }
         };

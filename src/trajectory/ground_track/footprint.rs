@@ -1,32 +1,33 @@
-//! Depth of a vehicle's footprint by the extents of its mask.
+//! Depth of a vehicle's footprint from the extents of its mask.
 //!
-//! A box of length L, width W and height H, its long side at the angle φ to the image plane and seen at the angle ε
-//! below the horizon, has the extents
+//! A box of length L, width W and height H, with its long side at the angle φ to the image plane and the line of sight
+//! at the angle ε below the horizon, has the extents
 //!
 //! ```text
 //! a = L cos φ + W sin φ,    e = d sin ε + H cos ε,    d = L sin φ + W cos φ                                        (1)
 //! ```
 //!
-//! along the edge on the ground and across it. H is a share of W and W one of L, each known to some per cent for all
-//! vehicles from small cars to lorries. Then e / a shows φ, as far as it does: the depth d is the mean over all φ and
-//! W / L by their likelihood, and its deviation that of the same distribution.
+//! along the edge on the ground and across it. H is a share of W and W one of L, each known to some percent for all
+//! vehicles from small cars to lorries. Then e / a constrains φ: the depth d is the mean over all φ and W / L by their
+//! likelihood, and its standard deviation that of the same distribution.
 
 use std::f64::consts::FRAC_PI_2;
 
 use crate::trajectory::body::{HEIGHT_PER_WIDTH, WIDTH_PER_LENGTH, WIDTH_STD};
 
-/// Standard deviation of the logarithm of an extent: by the spread of heights (0.12), by masks, and by the box, which
-/// vehicles fill up to their bonnets and corners only.
+/// Standard deviation of the logarithm of an extent: by the spread of heights (0.12), by masks, and by the shape of
+/// vehicles, which do not fill the box at their hoods and corners.
 const EXTENT_STD: f64 = 0.15;
-/// Number of steps of φ: more change the depth by less than a per cent.
+/// Number of steps of φ: more change the depth by less than a percent.
 const NUM_ANGLES: i32 = 36;
-/// Number of steps of W / L to either side: more change the depth by less than a per cent.
+/// Number of steps of W / L to either side: more change the depth by less than a percent.
 const NUM_WIDTHS: i32 = 6;
 /// Range of W / L to either side, standard deviations.
 const REACH: f64 = 3.0;
 
-/// Depth of the footprint along the horizontal line of sight, and its standard deviation, in the unit of the extents;
-/// `None` where the extents are no numbers.
+/// Depth of the footprint along the horizontal line of sight, and its standard deviation, in the unit of the extents.
+///
+/// `None` where the extents are not positive and finite.
 ///
 /// * `extents` – of the mask at the distance of the vehicle: along the edge on the ground, and across it.
 /// * `dip_sine` – sine of the angle of the line of sight below the horizon.
@@ -57,14 +58,14 @@ pub(super) fn depth([along, across]: [f64; 2], dip_sine: f64) -> Option<(f64, f6
 mod tests {
     use super::*;
 
-    /// Length, width and height, metres.
+    /// Length, width and height, meters.
     const CAR: [f64; 3] = [4.4, 1.8, 1.5];
     const SMALL_CAR: [f64; 3] = [2.7, 1.66, 1.55];
     const VAN: [f64; 3] = [5.0, 1.9, 1.9];
     const LORRY: [f64; 3] = [8.0, 2.5, 3.3];
 
     #[test]
-    fn extents_of_a_mask_show_how_deep_a_vehicle_is() {
+    fn extents_of_a_mask_determine_the_depth_of_a_vehicle() {
         let (mut inside, mut all) = ([0, 0], 0);
         let [mut by_mean, mut by_edge] = [0.0; 2];
         for [length, width, height] in [CAR, SMALL_CAR, VAN, LORRY] {
@@ -88,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn lengths_of_any_unit_serve_and_no_number_has_no_depth() {
+    fn lengths_of_any_unit_are_accepted_and_nan_has_no_depth() {
         let (one, thousandth) = (depth([3.0, 2.0], 0.5).unwrap(), depth([0.003, 0.002], 0.5).unwrap());
         assert!((one.0 / thousandth.0 - 1000.0).abs() < 1e-6 && (one.1 / thousandth.1 - 1000.0).abs() < 1e-6);
         assert_eq!(depth([f64::NAN, 1.0], 0.5), None);

@@ -1,17 +1,18 @@
-//! Positions on the ground of a vehicle of which only masks are known.
+//! Positions on the ground of a vehicle from its masks alone.
 //!
-//! The lower edge of a mask is where the vehicle meets the ground on the camera's side. With u the ray through it, n
-//! the normal of the local ground plane towards the camera, and h the camera's height over that plane, that point is
+//! The lower edge of a mask is the contact line of the vehicle with the ground on the camera's side. With u the ray
+//! through it, n the normal of the local ground plane towards the camera, and h the camera's height over that plane,
+//! the contact point is
 //!
 //! ```text
 //! x = c + u h / s,    s = −nᵀ u = sin ε                                                                            (1)
 //! ```
 //!
-//! for the ray's angle ε below the horizon. The position is the middle of the footprint, half of its depth further
-//! away, which the extents of the mask show (`footprint`). A pixel moves x by J = ∂x/∂p, which grows with 1 / s²; a
-//! plane that is higher by δ moves it by −u δ / s. Both end at the horizon: a frame whose distance has a standard
-//! deviation of a third and more has no position, since three of them reach infinity. docs/maths/ground-track.md has
-//! the shares.
+//! for the ray's angle ε below the horizon. The position is the center of the footprint, half of its depth farther
+//! away; the depth follows from the extents of the mask (`footprint`). A pixel moves x by J = ∂x/∂p, which grows with 1
+//! / s²; a plane that is higher by δ moves it by −u δ / s. Both diverge at the horizon: a frame whose distance has a
+//! standard deviation of more than a third has no position, since three standard deviations reach infinity. The terms
+//! of the error are in docs/maths/ground-track.md.
 
 mod contact_point;
 mod footprint;
@@ -23,27 +24,27 @@ use std::collections::BTreeMap;
 use nalgebra::{Point2, Vector3};
 
 use self::contact_point::ContactPoint;
-use super::extents::{BodyOnGround, Stand};
+use super::extents::{BodyOnGround, GroundView};
 use super::{Body, ObjectDescription, Silhouette};
 use crate::math::median;
 use crate::scene::{
     Frame, FrameId, GroundPlane, GroundPosition, GroundTrack, Image, NoContact, ObjectId, PlaneBasis, Reconstruction,
 };
 
-/// Fewest positions of a track: fewer have no smooth path, so that nothing tells a position from a mistake.
+/// Minimum number of positions of a track: fewer have no smooth path that would reveal outliers.
 const MIN_POSITIONS: usize = 6;
 
 /// Outlines of objects by frame.
 pub type Outlines = BTreeMap<ObjectId, BTreeMap<FrameId, Silhouette>>;
 
-/// Input on one vehicle and the place around it.
+/// Input for one vehicle and the scene around it.
 #[derive(Clone, Copy, Debug)]
 pub struct ContactEvidence<'a> {
     /// The background's reconstruction.
     pub background: &'a Reconstruction,
     /// The local plane of each frame, in the background's frame; frames without one are absent.
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
-    /// Outlines of all vehicles: that of the vehicle itself, and those that may hide it.
+    /// Outlines of all vehicles: that of the vehicle itself, and those that may occlude it.
     pub outlines: &'a Outlines,
     /// Frames in which the vehicle has a mask, in order.
     pub frames: &'a [&'a Frame],
@@ -51,17 +52,18 @@ pub struct ContactEvidence<'a> {
     pub focal: FocalError,
 }
 
-/// Error of a focal length, and what it does to the ground.
+/// Error of the focal length, and its effect on the ground.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct FocalError {
     /// Standard deviation as a share of the focal length; 0 where it is given.
     pub std: f64,
-    /// Change of the ground's normal by one standard deviation, below a camera that does not translate: its height
-    /// stays. `None` where a map has the ground: distances in it are wrong by the share of the focal length.
+    /// Change of the ground's normal by one standard deviation, below a camera that does not translate; its height is
+    /// unchanged. `None` where the ground is part of a map, whose distances have the relative error of the focal
+    /// length.
     pub turns: Option<Vector3<f64>>,
 }
 
-/// Pixels around which the plane of each frame is wanted: the corners of an object's outlines.
+/// Pixels around which the plane of each frame is needed: the corners of an object's outlines.
 pub fn outline_pixels(outlines: &BTreeMap<FrameId, Silhouette>) -> BTreeMap<FrameId, Vec<Point2<f64>>> {
     outlines.iter().map(|(frame, outline)| (*frame, outline.hull.clone())).collect()
 }
@@ -71,7 +73,7 @@ pub fn outline_pixels(outlines: &BTreeMap<FrameId, Silhouette>) -> BTreeMap<Fram
 pub struct Contacts {
     /// Ascending in time, in units of the background, without meters.
     pub positions: Vec<GroundPosition>,
-    /// On what the ground planes rest, and in how many frames.
+    /// Number of frames by the basis of their ground plane.
     pub ground: BTreeMap<PlaneBasis, usize>,
     /// Frames without a contact point, by reason.
     pub omitted: BTreeMap<NoContact, usize>,
@@ -79,7 +81,7 @@ pub struct Contacts {
     pub apparent_sizes: [Vec<f64>; 2],
 }
 
-/// Finds the contact points of a vehicle, each by its frame alone.
+/// Finds the contact points of a vehicle, each from its frame alone.
 pub fn contacts(id: ObjectId, evidence: &ContactEvidence) -> Contacts {
     let by_name: BTreeMap<&str, &Image> =
         evidence.background.images.values().map(|image| (image.name.as_str(), image)).collect();
@@ -104,12 +106,13 @@ pub fn contacts(id: ObjectId, evidence: &ContactEvidence) -> Contacts {
     contacts
 }
 
-/// The track of a vehicle on the ground, in units of the background, without verdict and meters, and its body.
+/// Estimates the track of a vehicle on the ground, in units of the background, without verdict and meters, and its
+/// body.
 ///
-/// * `reason` – why its 3D model cannot be used.
+/// * `reason` – reason why its 3D model cannot be used.
 ///
 /// # Errors
-/// Too few frames have a contact point; says how many, and what the others lack.
+/// Too few frames have a contact point: their number, and the reasons of the others.
 pub fn ground_track(
     description: ObjectDescription,
     evidence: &ContactEvidence,
@@ -117,7 +120,7 @@ pub fn ground_track(
 ) -> Result<(GroundTrack, Option<BodyOnGround>), String> {
     let ObjectDescription { id, class, confidence } = description;
     let found = contacts(id, evidence);
-    let body = BodyOnGround::of(&evidence.stands(id, &found), Body::of_class(&class));
+    let body = BodyOnGround::of(&evidence.views(id, &found), Body::of_class(&class));
     let Contacts { positions, ground, omitted, apparent_sizes } = found;
     let track = GroundTrack {
         reason,
@@ -129,19 +132,19 @@ pub fn ground_track(
     };
     if track.positions.len() < MIN_POSITIONS {
         let found = track.positions.len();
-        let others = track.omissions().map(|said| format!(" ({said})")).unwrap_or_default();
+        let others = track.omissions().map(|reasons| format!(" ({reasons})")).unwrap_or_default();
         return Err(format!("contact with the ground in {found} frames only, at least {MIN_POSITIONS} needed{others}"));
     }
     Ok((track, body))
 }
 
 impl ContactEvidence<'_> {
-    /// The frames with a contact point.
-    fn stands(&self, id: ObjectId, found: &Contacts) -> Vec<Stand<'_>> {
+    /// Views of the vehicle in the frames with a contact point.
+    fn views(&self, id: ObjectId, found: &Contacts) -> Vec<GroundView<'_>> {
         let sizes = found.apparent_sizes[0].iter().zip(&found.apparent_sizes[1]);
-        let stand = |(at, (width, height)): (&GroundPosition, (&f64, &f64))| {
+        let view = |(at, (width, height)): (&GroundPosition, (&f64, &f64))| {
             let image = self.background.images.get(&at.frame.into())?;
-            Some(Stand {
+            Some(GroundView {
                 camera: self.background.camera_of(image),
                 cam_from_world: &image.cam_from_world,
                 ground: self.planes.get(&at.frame)?,
@@ -150,10 +153,10 @@ impl ContactEvidence<'_> {
                 apparent_size: width.max(*height),
             })
         };
-        found.positions.iter().zip(sizes).filter_map(stand).collect()
+        found.positions.iter().zip(sizes).filter_map(view).collect()
     }
 
-    /// The contact point in one frame, and the plane on which it is.
+    /// Contact point in one frame, and its ground plane.
     fn contact(
         &self,
         id: ObjectId,

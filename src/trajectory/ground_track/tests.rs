@@ -44,10 +44,10 @@ fn normal(rng: &mut Rng) -> f64 {
     rng.sample(StandardNormal)
 }
 
-/// Standard deviations of simulated planes, metres: common to all frames, and new in each.
+/// Standard deviations of the heights of simulated planes, meters: common to all frames, and independent in each.
 const PLANE_M: [f64; 2] = [0.05, 0.03];
 
-/// Planes whose heights are off, with the standard deviations stated.
+/// Planes with height errors, and their standard deviations.
 fn disturbed(world: &Drive, rng: &mut Rng) -> BTreeMap<FrameId, GroundPlane> {
     let scale = world.background_from_metric.scale;
     let [common, own] = PLANE_M.map(|std| std * scale);
@@ -75,7 +75,7 @@ fn far(seed: u64, route: Route) -> Drive {
 }
 
 #[test]
-fn an_exact_world_has_its_positions_on_the_ground_below_the_vehicle() {
+fn positions_without_noise_are_on_the_ground_below_the_vehicle() {
     let world = far(1, Route::Straight);
     let found = track(&world, &world.planes, &[(ID, outlines(&world, Vector2::zeros))].into()).unwrap();
     assert_eq!((found.positions.len(), found.omissions()), (40, None));
@@ -94,7 +94,7 @@ fn an_exact_world_has_its_positions_on_the_ground_below_the_vehicle() {
 }
 
 #[test]
-fn errors_of_far_vehicles_are_as_large_as_is_said() {
+fn stds_of_far_vehicles_are_calibrated() {
     let mut counts = [0usize; 3];
     let mut all = 0;
     for seed in 0..60 {
@@ -122,7 +122,7 @@ fn errors_of_far_vehicles_are_as_large_as_is_said() {
 }
 
 #[test]
-fn another_focal_length_moves_a_vehicle_as_stated() {
+fn another_focal_length_moves_a_vehicle_by_the_reported_error() {
     let mut world = far(2, Route::Straight);
     let outlines: Outlines = [(ID, outlines(&world, Vector2::zeros))].into();
     let frames: Vec<Frame> = world.frames.clone();
@@ -142,15 +142,15 @@ fn another_focal_length_moves_a_vehicle_as_stated() {
     }
 }
 
-/// The true middle of a vehicle's footprint.
+/// True center of a vehicle's footprint.
 fn footprint(world: &Drive, frame: FrameId) -> Point3<f64> {
     let plane = &world.planes[&frame];
     let middle = world.world_from_object[&frame] * crate::trajectory::object_center(&world.object);
     middle - plane.normal * plane.signed_distance(middle)
 }
 
-/// The measurements of a track in metres, z up.
-fn in_metres(world: &Drive, found: &GroundTrack) -> Vec<PositionMeasurement> {
+/// Measurements of a track in meters, z up.
+fn in_meters(world: &Drive, found: &GroundTrack) -> Vec<PositionMeasurement> {
     let metric_from_world = world.background_from_metric.inverse();
     let measured = |at: &GroundPosition| PositionMeasurement {
         time_s: at.time_s,
@@ -164,7 +164,7 @@ fn in_metres(world: &Drive, found: &GroundTrack) -> Vec<PositionMeasurement> {
 }
 
 #[test]
-fn speeds_of_far_vehicles_are_as_sure_as_is_said_also_in_a_curve() {
+fn stds_of_speeds_of_far_vehicles_are_calibrated_also_in_a_curve() {
     let [mut within_1, mut within_2, mut all] = [0.0; 3];
     for seed in 0..24 {
         let route = if seed % 2 == 0 { Route::Straight } else { Route::Curve { radius_m: 40.0 } };
@@ -175,7 +175,7 @@ fn speeds_of_far_vehicles_are_as_sure_as_is_said_also_in_a_curve() {
         let noisy = outlines(&world, || Vector2::new(0.5 * normal(rng), bias + 0.5 * normal(rng)));
         let found = track(&world, &planes, &[(ID, noisy)].into()).unwrap();
         let smoothed =
-            smooth(&in_metres(&world, &found), &CommonStd::default(), crate::scene::Movement::Undetermined).unwrap();
+            smooth(&in_meters(&world, &found), &CommonStd::default(), crate::scene::Movement::Undetermined).unwrap();
         for motion in smoothed.motions.iter().step_by(9) {
             let off = (motion.speed_m_s - 8.0).abs() / motion.speed_std_m_s;
             assert!(motion.speed_std_m_s < 8.0, "{motion:?}");
@@ -188,8 +188,8 @@ fn speeds_of_far_vehicles_are_as_sure_as_is_said_also_in_a_curve() {
 }
 
 #[test]
-fn rays_at_the_horizon_are_refused() {
-    // Two metres up and 800 to 3000 m away a pixel is as much as the angle below the horizon.
+fn rays_at_the_horizon_are_rejected() {
+    // From two meters above the ground and 800 to 3000 m away a pixel is as large as the angle below the horizon.
     let options = drive::Options {
         camera_height_m: 2.0,
         camera_climb_m: 0.0,
@@ -199,14 +199,14 @@ fn rays_at_the_horizon_are_refused() {
     let world = drive(&options, 3);
     let refused = track(&world, &world.planes, &[(ID, outlines(&world, Vector2::zeros))].into()).unwrap_err();
     assert!(refused.contains("in 0 frames only") && refused.contains("horizon"), "{refused}");
-    // Nearer ones have a distance, and its standard deviation grows faster than the distance itself.
+    // Nearer vehicles have a distance, and its standard deviation grows faster than the distance itself.
     let near = drive(&drive::Options { distance_m: [60.0, 240.0], ..options }, 3);
     let found = track(&near, &near.planes, &[(ID, outlines(&near, Vector2::zeros))].into()).unwrap();
     let share = |at: &GroundPosition| {
         let center = near.background.images[&ImageId::from(at.frame)].cam_from_world.center();
-        let sight = Point3::from(at.position) - center;
-        let along = sight.normalize();
-        ((along.transpose() * at.error.covariance() * along)[0].sqrt() / sight.norm(), sight.norm())
+        let ray = Point3::from(at.position) - center;
+        let along = ray.normalize();
+        ((along.transpose() * at.error.covariance() * along)[0].sqrt() / ray.norm(), ray.norm())
     };
     let (first, last) = (share(&found.positions[0]), share(found.positions.last().unwrap()));
     assert!(last.1 > 2.0 * first.1 && last.0 > 2.0 * first.0, "{first:?} {last:?}");
@@ -216,7 +216,7 @@ fn rays_at_the_horizon_are_refused() {
 fn frames_without_a_contact_line_are_counted_with_the_reason() {
     let world = far(5, Route::Straight);
     let mut own = outlines(&world, Vector2::zeros);
-    // The border cuts the first five masks, another vehicle stands before the next ten, then the camera is lost.
+    // The first five masks are truncated, the next ten occluded, and the five frames after them not registered.
     (0..5).for_each(|k| drop(own.remove(&FrameId(k))));
     let square = |middle: Point2<f64>| {
         let corner = |x: f64, y: f64| middle + Vector2::new(x, y);
@@ -243,7 +243,7 @@ fn frames_without_a_contact_line_are_counted_with_the_reason() {
 }
 
 #[test]
-fn a_change_of_frame_keeps_an_error() {
+fn a_transformed_error_has_the_transformed_covariance() {
     let error = ContactError {
         noise: [[0.04, 0.01, 0.0], [0.01, 0.09, 0.0], [0.0, 0.0, 0.0]],
         drift: [0.3, -0.1, 0.2],

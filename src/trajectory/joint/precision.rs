@@ -1,4 +1,4 @@
-//! Agreement of image positions and points, and standard deviations of points.
+//! Reprojection errors, and covariances of points.
 
 use std::collections::BTreeMap;
 
@@ -7,7 +7,7 @@ use nalgebra::{Matrix3, Vector2};
 use crate::math::{median, symmetric_eigen};
 use crate::scene::{Image, Observation, Point3dId, Reconstruction};
 
-/// Every residual of image positions, pixels.
+/// Residuals of all image positions, pixels.
 pub(super) fn residuals(model: &Reconstruction) -> impl Iterator<Item = Vector2<f64>> {
     model.images.values().flat_map(move |image| {
         let residual = move |(id, observation): (Point3dId, &Observation)| {
@@ -23,11 +23,10 @@ pub(super) fn median_error_px(model: &Reconstruction) -> Option<f64> {
     median(residuals(model).map(|residual| residual.norm()).collect())
 }
 
-/// Covariance of every observed point's place, in squares of the model's unit, the poses taken as known. `None` where
-/// its image positions do not determine it.
+/// Covariance of every observed point's position for known poses, in squares of the model's unit.
 ///
-/// It is (Σ JᵀJ)⁻¹ times the variance of the point's own residuals, to which the typical one of all points is added as
-/// if it came from three more observations.
+/// `None` where the image positions do not determine the point. Otherwise it is (Σ JᵀJ)⁻¹ times the variance of the
+/// point's own residuals, to which the typical one of all points is added as if it came from three more observations.
 pub(super) fn point_covariances(model: &Reconstruction) -> BTreeMap<Point3dId, Option<Matrix3<f64>>> {
     // Number of observations with the typical residual that are added to those of a point.
     const PRIOR_OBSERVATIONS: f64 = 3.0;
@@ -56,17 +55,13 @@ pub(super) fn point_covariances(model: &Reconstruction) -> BTreeMap<Point3dId, O
     sums.into_iter().map(|(id, sum)| (id, covariance(sum))).collect()
 }
 
-/// The points whose standard deviation is more than `largest`, though never more than `1 - least_share` of all.
-pub(super) fn uncertain_points(
-    deviations: &BTreeMap<Point3dId, f64>,
-    largest: f64,
-    least_share: f64,
-) -> Vec<Point3dId> {
-    let mut deviations: Vec<(f64, Point3dId)> = deviations.iter().map(|(id, deviation)| (*deviation, *id)).collect();
-    deviations.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    let sure = deviations.partition_point(|(deviation, _)| *deviation <= largest);
-    let kept = sure.max((least_share * deviations.len() as f64).ceil() as usize);
-    deviations.iter().skip(kept).map(|(_, id)| *id).collect()
+/// Points with a standard deviation above `largest`, but at most a share of `1 - least_share` of all.
+pub(super) fn uncertain_points(stds: &BTreeMap<Point3dId, f64>, largest: f64, least_share: f64) -> Vec<Point3dId> {
+    let mut stds: Vec<(f64, Point3dId)> = stds.iter().map(|(id, std)| (*std, *id)).collect();
+    stds.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let sure = stds.partition_point(|(std, _)| *std <= largest);
+    let kept = sure.max((least_share * stds.len() as f64).ceil() as usize);
+    stds.iter().skip(kept).map(|(_, id)| *id).collect()
 }
 
 /// Observations of points in an image.

@@ -1,8 +1,8 @@
-//! Standard deviation of the scale ratio, with its sources.
+//! Standard deviation of the scale ratio by a jackknife over frames.
 //!
-//! Errors on a vehicle are common to neighboring frames, so that the covariance of the adjustment, which takes them for
-//! independent, is too small. Here stretches of frames are left out in turn, and the object is adjusted again: σ is
-//! that of a jackknife of the logarithm of the ratio ([`jackknife_std`]). Derivation and calibration:
+//! Errors on a vehicle are common to neighboring frames, so that the covariance of the adjustment, which assumes
+//! independent errors, is too small. Here the object is adjusted without each jackknife group of consecutive frames in
+//! turn: σ is that of a jackknife of the logarithm of the ratio ([`jackknife_std`]). Derivation and calibration:
 //! docs/maths/scale.md.
 
 use std::ops::Range;
@@ -12,12 +12,14 @@ use crate::math::{jackknife_groups, jackknife_std};
 use crate::scene::{ImageId, Reconstruction};
 use crate::trajectory::Contact;
 
-/// Observations per frame with which an object is adjusted without a stretch. In an adjustment those of a frame count
-/// as one or two independent ones anyway ([`JointOptions::independent_points`](super::JointOptions)), so that a hundred
-/// evenly chosen tracks leave the result as it is and cost a fifth in large vehicles.
+/// Observations per frame in the adjustment without a jackknife group.
+///
+/// In an adjustment those of a frame count as one or two independent ones
+/// ([`JointOptions::independent_points`](super::JointOptions)), so that a hundred evenly chosen tracks do not change
+/// the result and take a fifth of the time for large vehicles.
 const OBSERVATIONS_PER_FRAME: usize = 100;
 
-/// Standard deviation of the ratio, as a share of it, from leaving out stretches of frames.
+/// Relative standard deviation of the ratio, by a jackknife over groups of frames.
 pub(super) fn over_frames(adjustment: &Adjustment) -> Option<f64> {
     let whole = thinned(&adjustment.object);
     let ids: Vec<ImageId> = whole.images.keys().copied().collect();
@@ -26,7 +28,7 @@ pub(super) fn over_frames(adjustment: &Adjustment) -> Option<f64> {
     jackknife_std(&logs)
 }
 
-/// The object with every n-th of its tracks, so that about [`OBSERVATIONS_PER_FRAME`] are left.
+/// Object with every n-th of its tracks: about [`OBSERVATIONS_PER_FRAME`] observations per frame.
 fn thinned(object: &Reconstruction) -> Reconstruction {
     let num_seen: usize = object.points.values().map(|point| point.track.len()).sum();
     let every = num_seen.div_ceil(OBSERVATIONS_PER_FRAME * object.images.len().max(1)).max(1);
@@ -37,16 +39,16 @@ fn thinned(object: &Reconstruction) -> Reconstruction {
     object
 }
 
-/// The logarithm of the size with which an object comes out that has fewer frames or points.
+/// Logarithm of the adjusted size of an object with fewer frames or points.
 fn log_size(adjustment: &Adjustment, object: Reconstruction) -> Option<f64> {
     let mut part = adjustment.of_part(object);
     let contact: Contact = part.contact().ok()?;
     part.round(&contact).ok()?;
-    let found = part.back_to(&adjustment.object)?;
+    let found = part.similarity_to(&adjustment.object)?;
     Some(-found.scale.ln()).filter(|log| log.is_finite())
 }
 
-/// The object without some images and the points that fewer than three of the others observe.
+/// Object without some images, and without the points that fewer than three of the others observe.
 pub(super) fn without_images(object: &Reconstruction, gone: &[ImageId]) -> Reconstruction {
     let mut out = object.clone();
     out.remove_images(gone);
@@ -70,7 +72,7 @@ mod tests {
     }
 
     #[test]
-    fn images_that_go_take_their_observations_along() {
+    fn removing_images_removes_their_observations() {
         let object = drive(&Options { num_frames: 8, ..Options::default() }, 1).object;
         let gone: Vec<ImageId> = object.images.keys().copied().take(3).collect();
         let left = without_images(&object, &gone);

@@ -1,10 +1,10 @@
-//! Alignment of an object's sub-maps, which share hardly a point.
+//! Alignment of an object's sub-maps, which share hardly any points.
 //!
-//! After an occlusion a vehicle shows another side, and hardly a track leads from the frames before to those after it.
-//! Each sub-map is adjusted with the ground by itself, which determines its height, inclination and size. Relative
-//! position on the ground and heading follow from the outlines, which are those of one body: the body of the sub-map
-//! with the smallest standard deviation of the length is fitted to the outlines of the others ([`PlacedFit`]). The
-//! joined map is then adjusted as a whole. Derivation: docs/maths/scale.md; evidence: decision 35.
+//! After an occlusion a vehicle shows another side, and hardly any track connects the frames before and after. Each
+//! sub-map is adjusted with the ground separately, which determines its height, inclination and size. Relative position
+//! on the ground and heading follow from the outlines, which are those of one body: the body of the sub-map with the
+//! smallest standard deviation of the length is fitted to the outlines of the others ([`PlacedFit`]). The joined map is
+//! then adjusted as a whole. Derivation: docs/maths/scale.md; evidence: decision 35.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -15,7 +15,7 @@ use crate::trajectory::assemble::{ObjectDescription, assemble};
 use crate::trajectory::extents::{PlacedFit, Subject};
 use crate::trajectory::{Body, Evidence, Options};
 
-/// Sub-maps of an object, in the order of their images; the object itself where no gap divides it.
+/// Sub-maps of an object, in the order of their images; the object itself if there is no gap.
 pub(super) fn split(object: &Reconstruction) -> Vec<Reconstruction> {
     let gaps = object.gaps();
     let of = |id: &ImageId| gaps.partition_point(|gap| gap <= id);
@@ -23,7 +23,9 @@ pub(super) fn split(object: &Reconstruction) -> Vec<Reconstruction> {
     (0..=gaps.len()).map(|k| without_images(object, &others(k))).collect()
 }
 
-/// Joins sub-maps whose ground is z = 0, in the background's unit. One to which no body can be fitted keeps its poses.
+/// Joins sub-maps whose ground is z = 0, in the background's unit.
+///
+/// A sub-map to which no body can be fitted keeps its poses.
 pub(super) fn join(mut sub_maps: Vec<Reconstruction>, evidence: &Evidence, options: &Options) -> Reconstruction {
     let of_known_size = |sub_map: &Reconstruction, known| fitted_body(sub_map, known, evidence, options);
     let bodies = sub_maps.iter().map(|sub_map| of_known_size(sub_map, None));
@@ -40,7 +42,7 @@ pub(super) fn join(mut sub_maps: Vec<Reconstruction>, evidence: &Evidence, optio
             tracing::debug!("sub-map of {} images: by {shift:?}, turned by {:?}", sub_map.images.len(), turn.angle());
             sub_map.transform(&Sim3::new(1.0, turn, Vector3::new(shift.x, shift.y, 0.0)));
         }
-        // A point that several of them observe has a position in each.
+        // A point that several sub-maps observe has a position in each.
         let known: Vec<Point3dId> =
             sub_map.points.keys().filter(|id| joined.points.contains_key(id)).copied().collect();
         sub_map.remove_points(&known);
@@ -52,7 +54,7 @@ pub(super) fn join(mut sub_maps: Vec<Reconstruction>, evidence: &Evidence, optio
     joined
 }
 
-/// The body that fits the outlines of a sub-map, of the size of a known one where given.
+/// Body fitted to the outlines of a sub-map, with the size of `known` if given.
 fn fitted_body(
     sub_map: &Reconstruction,
     known: Option<&PlacedFit>,
@@ -74,7 +76,7 @@ mod tests {
     use crate::synthetic::drive::{Options, drive};
 
     #[test]
-    fn a_map_is_split_where_frames_are_missing_and_hardly_a_track_leads_on() {
+    fn a_map_is_split_at_missing_frames_with_few_connecting_tracks() {
         let mut object = drive(&Options { num_frames: 40, ..Options::default() }, 1).object;
         let hidden: Vec<ImageId> = (15..22).map(|frame| FrameId(frame).into()).collect();
         object = without_images(&object, &hidden);
@@ -83,7 +85,7 @@ mod tests {
         let across = object.points.iter().filter(|(_, point)| {
             point.track.iter().any(|e| is_before(e.image)) && point.track.iter().any(|e| !is_before(e.image))
         });
-        // Eleven of them stay, one fewer than a map needs.
+        // Eleven tracks remain, one fewer than a map needs.
         let across: Vec<_> = across.map(|(id, _)| *id).skip(11).collect();
         object.remove_points(&across);
         let parts = split(&object);

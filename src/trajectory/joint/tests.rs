@@ -43,7 +43,7 @@ fn solve(
     joint(&evidence(world, object, silhouettes), &views, &options)
 }
 
-/// Relative error of the ratio for the size that the object has come out with.
+/// Relative error of the ratio for the adjusted size of the object.
 fn error(world: &Drive, found: &Joint) -> f64 {
     let size = |object: &Reconstruction| {
         let ids: Vec<_> = found.object.points.keys().collect();
@@ -53,8 +53,8 @@ fn error(world: &Drive, found: &Joint) -> f64 {
     found.ratio * size(&found.object) / (world.ratio * size(&world.object)) - 1.0
 }
 
-/// As a chain of frames wanders: the object comes nearer and nearer, by a share of its distance from the first frame to
-/// the last.
+/// Simulated drift of a chain of frames: the object approaches, by a share of its distance from the first frame to the
+/// last.
 fn drifted(world: &Drive, share: f64) -> Reconstruction {
     let mut object = world.object.clone();
     let center = crate::trajectory::object_center(&object);
@@ -69,7 +69,7 @@ fn drifted(world: &Drive, share: f64) -> Reconstruction {
 }
 
 #[test]
-fn drift_is_taken_out_and_the_deviation_is_honest() {
+fn drift_is_removed_and_the_std_is_calibrated() {
     let mut squares = 0.0;
     for seed in 0..5 {
         let world = drive(&Options { noise: NOISE, ..Options::default() }, seed);
@@ -90,16 +90,16 @@ fn outlines_determine_what_parallel_motion_does_not() {
         let found = solve(&world, &world.object, &silhouettes(&world)).unwrap();
         let error = error(&world, &found);
         assert!(error.abs() < 0.02, "seed {seed}: {error}");
-        // Without outlines the lowest points are left to go by, and that is less sure.
+        // Without outlines only the lowest points are used, which is less certain.
         let guessed = solve(&world, &world.object, &BTreeMap::new()).unwrap();
         assert!(guessed.contact.num_frames == 0 && guessed.shares.total() > found.shares.total());
     }
 }
 
 #[test]
-fn an_object_in_the_air_is_said_to_contradict_the_ground_or_is_left_alone() {
+fn inconsistent_planes_contradict_the_object_or_do_not_distort_it() {
     let mut world = drive(&Options { noise: NOISE, ..Options::default() }, 1);
-    // Planes that jump up and down by two metres have nothing to do with the object.
+    // Planes that jump up and down by two meters are inconsistent with the object.
     for (frame, plane) in &mut world.planes {
         let jump = if frame.0 % 2 == 0 { 0.5 } else { -0.5 };
         plane.point += plane.normal * jump;
@@ -113,7 +113,7 @@ fn an_object_in_the_air_is_said_to_contradict_the_ground_or_is_left_alone() {
 }
 
 #[test]
-fn too_little_to_go_by_is_an_error() {
+fn too_few_frames_or_points_are_an_error() {
     let world = drive(&Options { num_frames: 2, ..Options::default() }, 3);
     assert!(matches!(solve(&world, &world.object, &BTreeMap::new()), Err(ScaleError::TooFewViews { .. })));
     let mut empty = world.object.clone();
@@ -123,24 +123,24 @@ fn too_little_to_go_by_is_an_error() {
 }
 
 #[test]
-fn uncertain_points_are_left_out_but_never_most() {
+fn uncertain_points_are_removed_but_never_most() {
     let world = drive(&Options { noise: NOISE, num_frames: 20, ..Options::default() }, 2);
     let mut object = world.object.clone();
-    // A point that two neighbouring frames see is one without a depth.
+    // A point that only two neighboring frames observe has no certain depth.
     let id = *object.points.keys().nth(5).unwrap();
     let track: Vec<_> = object.points[&id].track.clone();
     for element in &track[2..] {
         object.images.get_mut(&element.image).unwrap().observations[element.observation_idx as usize].point = None;
     }
     object.points.get_mut(&id).unwrap().track.truncate(2);
-    let deviation = |covariance: Option<nalgebra::Matrix3<f64>>| {
+    let std = |covariance: Option<nalgebra::Matrix3<f64>>| {
         covariance.map_or(f64::INFINITY, |c| c.symmetric_eigenvalues().max().sqrt())
     };
-    let deviations = point_covariances(&object).into_iter().map(|(id, c)| (id, deviation(c))).collect();
-    assert_eq!(uncertain_points(&deviations, 0.05 * object_radius(&object), 0.5), [id]);
+    let stds = point_covariances(&object).into_iter().map(|(id, c)| (id, std(c))).collect();
+    assert_eq!(uncertain_points(&stds, 0.05 * object_radius(&object), 0.5), [id]);
     let count = object.points.len();
-    assert_eq!(uncertain_points(&deviations, 0.0, 0.5).len(), count / 2);
-    assert!(uncertain_points(&deviations, f64::INFINITY, 0.5).is_empty());
+    assert_eq!(uncertain_points(&stds, 0.0, 0.5).len(), count / 2);
+    assert!(uncertain_points(&stds, f64::INFINITY, 0.5).is_empty());
 }
 
 #[test]

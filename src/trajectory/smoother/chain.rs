@@ -1,21 +1,21 @@
-//! The Kalman filter forwards and Rauch, Tung and Striebel's smoother backwards over a chain of states (H. Rauch,
-//! F. Tung, C. Striebel, *Maximum likelihood estimates of linear dynamic systems*, AIAA Journal 3, 1965).
+//! Kalman filter and Rauch–Tung–Striebel smoother over a chain of states (H. Rauch, F. Tung, C. Striebel, *Maximum
+//! likelihood estimates of linear dynamic systems*, AIAA Journal 3, 1965).
 
 use nalgebra::{DMatrix, DVector};
 
-/// A mean and its covariance.
+/// Mean and covariance.
 #[derive(Clone, Debug)]
 pub(super) struct Gaussian {
     pub(super) mean: DVector<f64>,
     pub(super) covariance: DMatrix<f64>,
 }
 
-/// From one state to the next, and what is observed there.
+/// Transition to a state, and the model of its observation.
 #[derive(Clone, Debug)]
 pub(super) struct Step {
-    /// The state's transition from the one before; not used in the first step.
+    /// Transition from the previous state; not used in the first step.
     pub(super) transition: DMatrix<f64>,
-    /// Covariance of what is added on the way.
+    /// Covariance of the process noise.
     pub(super) process: DMatrix<f64>,
     /// Observation matrix.
     pub(super) observation: DMatrix<f64>,
@@ -23,7 +23,7 @@ pub(super) struct Step {
     pub(super) noise: DMatrix<f64>,
 }
 
-/// All states given all observations.
+/// Smoothed states.
 #[derive(Clone, Debug)]
 pub(super) struct Smoothed {
     pub(super) states: Vec<Gaussian>,
@@ -31,7 +31,7 @@ pub(super) struct Smoothed {
     pub(super) gains: Vec<DMatrix<f64>>,
 }
 
-/// All states after the pass forwards.
+/// States of the forward pass.
 struct Filtered {
     predicted: Vec<Gaussian>,
     updated: Vec<Gaussian>,
@@ -54,7 +54,7 @@ fn filter(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option
         let cholesky = spread.cholesky()?;
         let half = &step.observation * &state.covariance;
         let gain = cholesky.solve(&half).transpose();
-        // The first observations, which the wide first state leaves open, say nothing of the likelihood.
+        // The first observations determine the diffuse initial state, and do not contribute to the likelihood.
         if k >= 3 {
             let determinant: f64 = cholesky.l_dirty().diagonal().iter().map(|d| 2.0 * d.ln()).sum();
             found.log_likelihood -= 0.5 * (innovation.dot(&cholesky.solve(&innovation)) + determinant);
@@ -67,12 +67,12 @@ fn filter(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option
     found.log_likelihood.is_finite().then_some(found)
 }
 
-/// Logarithm of the likelihood of what was observed, but for a constant.
+/// Logarithm of the likelihood of the observations, up to a constant.
 pub(super) fn log_likelihood(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<f64> {
     filter(first, steps, observed).map(|found| found.log_likelihood)
 }
 
-/// Every state, from all observations; `None` where rounding leaves no covariance.
+/// States given all observations; `None` if a covariance is not positive definite by rounding.
 pub(super) fn smooth(first: &Gaussian, steps: &[Step], observed: &[DVector<f64>]) -> Option<Smoothed> {
     let Filtered { predicted, mut updated, .. } = filter(first, steps, observed)?;
     let mut gains = Vec::new();

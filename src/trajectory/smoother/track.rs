@@ -1,7 +1,7 @@
-//! One quantity of several axes under white jerk: where it was at every time, with its first two derivatives.
+//! Smoothing of a quantity of several axes under white jerk: its value and first two derivatives at every time.
 //!
-//! What is observed is the quantity, plus errors that wander slowly (see [`Observed`]), plus white noise. How strong
-//! the jerk is and how much larger the errors are than stated, the likelihood decides.
+//! An observation is the quantity, plus slowly correlated errors (see [`Observed`]), plus white noise. The spectral
+//! density of the jerk and the factor on the reported errors are those of maximum posterior probability.
 
 use nalgebra::{DMatrix, DVector};
 
@@ -12,15 +12,16 @@ use super::chain::{self, Gaussian, Smoothed, Step};
 pub(super) struct Observed {
     pub(super) time_s: f64,
     pub(super) value: DVector<f64>,
-    /// Covariance of what is new in every observation.
+    /// Covariance of the error that is independent in every observation.
     pub(super) noise: DMatrix<f64>,
-    /// By how much, and in which direction, each error that wanders moves the value: one standard deviation, a column
-    /// each.
+    /// Displacement of the value by one standard deviation of each correlated error, one column each.
     pub(super) drift: DMatrix<f64>,
 }
 
 impl Observed {
-    /// The same with one more error, that moves the value by one standard deviation as given.
+    /// The same with one more correlated error.
+    ///
+    /// * `error` – displacement of the value by one standard deviation.
     pub(super) fn with_common(mut self, error: &DVector<f64>) -> Self {
         let columns = self.drift.ncols();
         self.drift = self.drift.insert_column(columns, 0.0);
@@ -29,20 +30,20 @@ impl Observed {
     }
 }
 
-/// Prior on the change of a quantity.
+/// Prior on the motion of a quantity.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Kind {
-    /// Standard deviations of the first value, of the first derivative and of the second.
+pub(super) struct MotionPrior {
+    /// Standard deviations of the initial value and of its first and second derivative.
     pub(super) first: [f64; 3],
-    /// Spectral density of the jerk that is usual.
-    pub(super) usual_jerk: f64,
-    /// That of the last axis as a share of the others'.
+    /// Typical spectral density of the jerk.
+    pub(super) prior_jerk: f64,
+    /// Spectral density of the last axis, as a share of that of the others.
     pub(super) last_axis: f64,
-    /// Times after which the errors that wander have forgotten where they were, seconds.
+    /// Correlation times of the correlated errors, seconds.
     pub(super) drift_s: &'static [f64],
 }
 
-/// Parameters that the likelihood determines.
+/// Parameters of maximum posterior probability.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Level {
     /// Spectral density of the jerk.
@@ -51,28 +52,27 @@ pub(super) struct Level {
     pub(super) noise: f64,
 }
 
-/// A quantity after smoothing.
+/// Smoothed quantity.
 #[derive(Clone, Debug)]
 pub(super) struct Track {
     pub(super) states: Vec<Gaussian>,
     /// See [`Smoothed`].
     pub(super) gains: Vec<DMatrix<f64>>,
-    /// Squared deviations of the observations from the smoothed quantity and the smoothed errors that wander, in units
-    /// of their noise.
+    /// Squared residuals of the observations from the smoothed quantity and correlated errors, in units of their noise.
     pub(super) squares: Vec<f64>,
     first: Gaussian,
     steps: Vec<Step>,
 }
 
-/// Observations that are rated at most.
+/// Maximum number of observations used for the parameters.
 const MAX_RATED: usize = 400;
-/// Degrees of freedom of Student's distribution, whose tails jumps are expected to come from.
+/// Degrees of freedom of Student's distribution of the errors, whose tails include jumps.
 const STUDENT: f64 = 4.0;
 
-impl Kind {
-    /// A quantity of so many axes that stays as it is, but for a drift that nobody would notice.
+impl MotionPrior {
+    /// Prior on a quantity at rest, up to an imperceptible drift at `speed`.
     pub(super) fn at_rest(self, speed: f64) -> Self {
-        Self { first: [self.first[0], speed, 1e-3 * speed], usual_jerk: 1e-6 * speed * speed, ..self }
+        Self { first: [self.first[0], speed, 1e-3 * speed], prior_jerk: 1e-6 * speed * speed, ..self }
     }
 
     fn size(&self, axes: usize) -> usize {
@@ -96,8 +96,8 @@ impl Kind {
         all.iter().enumerate().map(step).collect()
     }
 
-    /// States are the value, its first and its second derivative, axis by axis, and the errors that wander, in
-    /// deviations.
+    /// Step of the chain. The state is the value, its first and its second derivative, axis by axis, and the correlated
+    /// errors in standard deviations.
     fn step(&self, seen: &Observed, dt: f64, level: Level, weight: f64) -> Step {
         let axes = seen.value.len();
         let size = self.size(axes);
@@ -143,16 +143,18 @@ impl Kind {
         })
     }
 
-    /// Logarithm of the posterior of a level.
+    /// Logarithm of the posterior probability of a level, up to a constant.
     fn posterior(&self, all: &[Observed], weights: &[f64], level: Level) -> Option<f64> {
         let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
         let likelihood = chain::log_likelihood(&self.first(&all[0]), &self.steps(all, weights, level), &values)?;
-        // In standard deviations, before anything is observed.
-        let off = [(level.jerk / self.usual_jerk).ln() / 2.3, level.noise.ln() / 1.1];
+        // Deviations from the prior means, in prior standard deviations.
+        let off = [(level.jerk / self.prior_jerk).ln() / 2.3, level.noise.ln() / 1.1];
         Some(likelihood - 0.5 * (off[0] * off[0] + off[1] * off[1]))
     }
 
-    /// The errors, then the jerk, and both again, by the middle of what was observed if that is long.
+    /// Level of maximum posterior probability: the errors, then the jerk, and both again.
+    ///
+    /// For long tracks from the middle observations only.
     fn best_level(&self, all: &[Observed], weights: &[f64], start: Level) -> Level {
         let from = all.len().saturating_sub(MAX_RATED) / 2;
         let until = all.len().min(from + MAX_RATED);
@@ -165,40 +167,40 @@ impl Kind {
         let mut level = start;
         for _ in 0..2 {
             level = best(&mut [0.5, 0.7, 1.0, 2.0, 4.0, 8.0, 16.0].map(|noise| Level { noise, ..level }).into_iter());
-            level = best(&mut multiples.map(|m| Level { jerk: m * self.usual_jerk, ..level }).into_iter());
+            level = best(&mut multiples.map(|m| Level { jerk: m * self.prior_jerk, ..level }).into_iter());
         }
         level
     }
 }
 
-/// Smooths what was observed at ascending times; `None` for nothing at all, or where rounding wins.
-pub(super) fn track(all: &[Observed], kind: &Kind) -> Option<Track> {
-    let first = kind.first(all.first()?);
+/// Smooths observations at ascending times; `None` for none, or if rounding prevents it.
+pub(super) fn track(all: &[Observed], prior: &MotionPrior) -> Option<Track> {
+    let first = prior.first(all.first()?);
     let values: Vec<DVector<f64>> = all.iter().map(|seen| seen.value.clone()).collect();
     let mut weights = vec![1.0; all.len()];
-    let mut level = Level { jerk: kind.usual_jerk, noise: 1.0 };
+    let mut level = Level { jerk: prior.prior_jerk, noise: 1.0 };
     for pass in 0..4 {
-        // A jump is seen against a motion that is usual, before the motion is made to follow it.
+        // Jumps are recognized under the typical jerk, before the jerk is adapted to them.
         if pass > 1 {
-            level = kind.best_level(all, &weights, level);
+            level = prior.best_level(all, &weights, level);
         }
-        let Smoothed { states, .. } = chain::smooth(&first, &kind.steps(all, &weights, level), &values)?;
+        let Smoothed { states, .. } = chain::smooth(&first, &prior.steps(all, &weights, level), &values)?;
         let axes = values[0].len() as f64;
         let weight = |square: f64| ((STUDENT + axes) / (STUDENT + square)).min(1.0);
-        weights = kind.squares(all, &states, level).map(weight).collect();
+        weights = prior.squares(all, &states, level).map(weight).collect();
     }
-    let steps = kind.steps(all, &weights, level);
+    let steps = prior.steps(all, &weights, level);
     let Smoothed { states, gains } = chain::smooth(&first, &steps, &values)?;
-    let squares = kind.squares(all, &states, level).collect();
+    let squares = prior.squares(all, &states, level).collect();
     Some(Track { states, gains, squares, first, steps })
 }
 
 /// Returns true if a quantity at rest is more likely than one that moves.
-pub(super) fn is_at_rest(all: &[Observed], moving: &Kind, rest: &Kind) -> bool {
+pub(super) fn is_at_rest(all: &[Observed], moving: &MotionPrior, rest: &MotionPrior) -> bool {
     let weights = vec![1.0; all.len()];
-    let rated = |kind: &Kind| {
-        let start = Level { jerk: kind.usual_jerk, noise: 1.0 };
-        kind.posterior(all, &weights, kind.best_level(all, &weights, start))
+    let rated = |prior: &MotionPrior| {
+        let start = Level { jerk: prior.prior_jerk, noise: 1.0 };
+        prior.posterior(all, &weights, prior.best_level(all, &weights, start))
     };
     matches!((rated(moving), rated(rest)), (Some(moving), Some(rest)) if rest > moving)
 }

@@ -1,24 +1,25 @@
 //! Path length and displacement of a smoothed trajectory.
 //!
-//! The sum of the steps between frames grows with their noise: a parked vehicle would drive for ever. Lengths are
-//! therefore measured at the resolution of the trajectory's own uncertainty. Knots k₀ = first frame, k_{j+1} = the
-//! first frame after k_j with ‖d‖ > 3 σ(d), where d = x̂(k_{j+1}) − x̂(k_j); the last knot is the last frame.
+//! The sum of the steps between frames grows with their noise: the path of a stationary vehicle would grow without
+//! limit. Lengths are therefore measured at the resolution of the trajectory's own uncertainty. Knots k₀ = first frame,
+//! k_{j+1} = the first frame after k_j with ‖d‖ > 3 σ(d), where d = x̂(k_{j+1}) − x̂(k_j); the last knot is the last
+//! frame.
 //!
 //! ```text
 //! L = Σ_j ‖x̂(k_{j+1}) − x̂(k_j)‖,    σ²(L) = gᵀ Cov(x̂) g + (gᵀ ∂x̂/∂ln r · σ_r)² + (L σ_s)²                   (4, 5)
 //! ```
 //!
 //! with g = ∂L/∂x̂, the posterior covariance between all frames, the scale ratio's standard deviation σ_r and that of
-//! metres per unit σ_s (of logarithms). Of contact points, σ(d) contains the errors of both points as well: masks
-//! change slowly, which smoothing takes for motion. A single segment that is not resolved, ‖d‖ ≤ 3 σ(d), has the length
-//! √max(0, ‖d‖² − tr Cov(d)): of a vehicle at rest E‖d‖² is tr Cov(d). docs/maths/smoother.md, section *Travel*.
+//! meters per unit σ_s (of logarithms). For contact points σ(d) includes the errors of both points: masks change
+//! slowly, which smoothing interprets as motion. A single segment that is not resolved, ‖d‖ ≤ 3 σ(d), has the length
+//! √max(0, ‖d‖² − tr Cov(d)): for a stationary vehicle E‖d‖² is tr Cov(d). docs/maths/smoother.md, section *Travel*.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Vector3};
 
-use super::{CLEAR, Tracks};
+use super::{SIGNIFICANT_STDS, Tracks};
 use crate::scene::Estimate;
 
-/// Length of a vector whose components have the covariance given: corrected for noise where it is not resolved.
+/// Length of a vector with its covariance; corrected for noise where it is not resolved.
 fn resolved_length(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> Estimate {
     let length = d.norm();
     if is_resolved(d, covariance) {
@@ -28,14 +29,15 @@ fn resolved_length(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> Estimate {
     Estimate { value, std: covariance.symmetric_eigenvalues().max().max(0.0).sqrt() }
 }
 
-/// The same of a number.
+/// Magnitude of a number with its standard deviation; corrected for noise where it is not resolved.
 pub(super) fn resolved_amount(value: f64, std: f64) -> Estimate {
-    let value = if value.abs() > CLEAR * std { value.abs() } else { (value * value - std * std).max(0.0).sqrt() };
+    let value =
+        if value.abs() > SIGNIFICANT_STDS * std { value.abs() } else { (value * value - std * std).max(0.0).sqrt() };
     Estimate { value, std }
 }
 
 fn is_resolved(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> bool {
-    d.norm() > CLEAR * std_along(d, covariance)
+    d.norm() > SIGNIFICANT_STDS * std_along(d, covariance)
 }
 
 fn std_along(d: &Vector3<f64>, covariance: &Matrix3<f64>) -> f64 {
@@ -46,7 +48,7 @@ impl Tracks<'_> {
     /// Path length, eq. 4.
     pub(super) fn path(&self) -> Estimate {
         let mut knots = self.resolved_knots();
-        // What is left after the last resolved knot belongs to the segment before.
+        // The part after the last resolved knot belongs to the segment before.
         if knots.len() > 1 {
             knots.pop();
         }
@@ -54,7 +56,7 @@ impl Tracks<'_> {
         if knots.len() == 2 { self.displacement() } else { self.length(&knots) }
     }
 
-    /// From the first frame to the last in a straight line.
+    /// Straight-line distance from the first frame to the last.
     pub(super) fn displacement(&self) -> Estimate {
         let last = self.positions.states.len() - 1;
         let covariance = self.covariances_from(0).last().unwrap_or_else(Matrix3::zeros);
@@ -65,7 +67,7 @@ impl Tracks<'_> {
         self.positions.states[k].mean.fixed_rows::<3>(0).into_owned()
     }
 
-    /// By each of the shared errors.
+    /// Displacements of a position by each of the shared errors.
     fn moved(&self, k: usize) -> impl Iterator<Item = Vector3<f64>> {
         self.moved.iter().map(move |moved| moved[k].fixed_rows::<3>(0).into_owned())
     }
@@ -78,7 +80,7 @@ impl Tracks<'_> {
         Estimate { std: length.std.hypot(self.scale_std * length.value), ..length }
     }
 
-    /// Covariances of the displacements from one frame to each later one, without the share of metres per unit.
+    /// Covariances of the displacements from one frame to each later one, without the share of meters per unit.
     fn covariances_from(&self, from: usize) -> impl Iterator<Item = Matrix3<f64>> + '_ {
         let states = &self.positions.states;
         let position_block = |m: &DMatrix<f64>| m.fixed_view::<3, 3>(0, 0).into_owned();
@@ -101,7 +103,7 @@ impl Tracks<'_> {
         let mut from = 0;
         let next = |from: usize| {
             let mut later = (from + 1..).zip(self.covariances_from(from));
-            let single = |k: usize| self.sightings[k].single_error();
+            let single = |k: usize| self.measurements[k].frame_covariance();
             let is_clear = |&(k, covariance): &(usize, Matrix3<f64>)| {
                 is_resolved(&self.step(from, k), &(covariance + single(from) + single(k)))
             };
@@ -114,7 +116,7 @@ impl Tracks<'_> {
         knots
     }
 
-    /// Of a chain of resolved segments.
+    /// Length of a chain of resolved segments.
     fn length(&self, knots: &[usize]) -> Estimate {
         let mut gradient = vec![Vector3::zeros(); self.positions.states.len()];
         let mut value = 0.0;
@@ -133,8 +135,9 @@ impl Tracks<'_> {
         self.with_scale(Estimate { value, std: (self.variance(&gradient).max(0.0) + shared).sqrt() })
     }
 
-    /// Variance of Σ gₖᵀ xₖ over the positions xₖ: the smoother's backward chain x_k = G_k x_{k+1} + e_k is passed
-    /// forwards, so that each eₖ counts once.
+    /// Variance of Σ gₖᵀ xₖ over the positions xₖ.
+    ///
+    /// The smoother's backward chain x_k = G_k x_{k+1} + e_k is traversed forwards, so that each eₖ counts once.
     fn variance(&self, gradient: &[Vector3<f64>]) -> f64 {
         let states = &self.positions.states;
         let size = states[0].mean.len();

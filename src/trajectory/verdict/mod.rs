@@ -1,21 +1,21 @@
 //! Verdict on a trajectory, from all evidence.
 //!
-//! A small standard deviation says that the figures agree with one another. It does not say that they are those of a
-//! vehicle: a patch of the horizon that was taken for a car has a small one, too. So every trajectory is looked at from
-//! many sides, each of which is a small function: the scale ratio ([`scale`]), what found the object and how much of it
-//! there is ([`support`]), whether it stands on the ground ([`ground`]), has the shape, size and speed of its class
-//! ([`class`], [`size`]), and drives a path that a vehicle can drive ([`path`]). Each look supports, doubts or refutes,
-//! says so in a sentence with its figure, and has a weight. What they come to is a [`Verdict`]:
+//! A small standard deviation means that the data are consistent. It does not mean that they are those of a vehicle: a
+//! patch of the horizon that was detected as a car has a small one, too. Every trajectory therefore passes several
+//! checks, each a small function: scale ratio ([`scale`]), detections and amount of data ([`support`]), contact with
+//! the ground ([`ground`]), shape, size and speed of its class ([`class`], [`size`]), and drivability of the path
+//! ([`path`]). Each check supports, doubts or refutes the trajectory, with a weight and a sentence with its figure. The
+//! [`Verdict`] follows:
 //!
-//! * one that refutes, or doubts whose weights sum up to 3 or more: rejected;
+//! * one refutation, or doubts whose weights sum up to 3 or more: rejected;
 //! * doubts whose weights sum up to 1 or more: doubtful;
-//! * a deviation of more than 3 %, or any doubt: fair; else good.
+//! * a standard deviation of more than 3 %, or any doubt: fair; else good.
 //!
-//! What supports a trajectory takes no doubt away. No metres are known: lengths are measured with the vehicle's own
-//! height over the ground, and vehicles with one another. The stage `metric` adds a doubt ([`with_reason`]) where the
-//! size contradicts the class.
+//! Support does not cancel doubts. Meters are not known: the unit of length is the vehicle's own height over the
+//! ground, and vehicles are compared with one another. The stage `metric` adds a doubt ([`with_reason`]) where the size
+//! contradicts the class.
 //!
-//! Every limit, where it comes from, and on which clips it was chosen: docs/maths/verdict.md. Entry point:
+//! All limits, with their sources and the clips on which they were chosen: docs/maths/verdict.md. Entry point:
 //! [`verdicts`].
 
 mod class;
@@ -37,7 +37,7 @@ use crate::scene::{
     TrackedObject, Trust, Verdict,
 };
 
-/// A trajectory that is to be judged, and what is known of it.
+/// Trajectory to judge, with its data.
 #[derive(Clone, Copy, Debug)]
 pub struct Candidate<'a> {
     /// The trajectory, in units of the background.
@@ -52,20 +52,19 @@ pub struct Candidate<'a> {
     pub planes: &'a BTreeMap<FrameId, GroundPlane>,
 }
 
-/// The verdict on every trajectory of a run, in their order. They are compared with one another, so all are needed at
-/// once.
+/// Verdicts on all trajectories of a run, in their order; they are compared with one another.
 ///
-/// * `time_base` – where times count frames, nothing is stated of speeds.
-/// * `focal_changes` – changes of the focal length, which the background and all objects take for motion: no verdict is
-///   better than doubtful with one.
+/// * `time_base` – speeds are not checked where times count frames.
+/// * `focal_changes` – changes of the focal length, which the reconstructions of background and objects interpret as
+///   motion: no verdict is better than doubtful with one.
 pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[FocalChange]) -> Vec<Verdict> {
     let measures: Vec<Measures> = candidates.iter().map(Measures::of).collect();
     let mut reasons: Vec<Vec<Reason>> =
         candidates.iter().zip(&measures).map(|(candidate, measures)| alone(candidate, measures)).collect();
-    let yardsticks = size::yardsticks(candidates, &measures, &reasons);
+    let size_references = size::size_references(candidates, &measures, &reasons);
     for k in 0..candidates.len() {
         let class = class::of(&candidates[k].trajectory.class);
-        let found = size::beside_others(k, &yardsticks).into_iter();
+        let found = size::relative_to_others(k, &size_references).into_iter();
         reasons[k].extend(found.chain(size::speed(&measures[k], &class, time_base)));
         reasons[k].extend(focal_changes.first().map(|change| {
             let says = format!("{change}; cut the clip there or use a fixed zoom");
@@ -75,7 +74,7 @@ pub fn verdicts(candidates: &[Candidate], time_base: TimeBase, focal_changes: &[
     reasons.into_iter().map(weighed).collect()
 }
 
-/// The verdict with one more reason, which replaces support of the same kind.
+/// Verdict with one more reason, which replaces support of the same kind.
 pub fn with_reason(verdict: Verdict, reason: Reason) -> Verdict {
     let is_kept = |before: &Reason| before.kind != reason.kind || before.finding != Finding::Supports;
     let mut reasons: Vec<Reason> = verdict.reasons.into_iter().filter(is_kept).collect();
@@ -116,7 +115,7 @@ fn weighed(mut reasons: Vec<Reason>) -> Verdict {
     let has = |finding| reasons.iter().any(|reason| reason.finding == finding);
     let doubt: f64 = reasons.iter().map(|reason| reason.weight).sum();
     let state = match () {
-        // Nothing that is right is odd in so many ways.
+        // No correct trajectory has so many doubts.
         () if has(Finding::Refutes) || doubt >= 3.0 - 1e-9 => Trust::Rejected,
         () if doubt >= DOUBTFUL - 1e-9 => Trust::Doubtful,
         () if has(Finding::Doubts) => Trust::Fair,
@@ -126,15 +125,15 @@ fn weighed(mut reasons: Vec<Reason>) -> Verdict {
 }
 
 /// A doubt where a value exceeds the first limit, a refutation beyond the second; `None` within both.
-fn graded(kind: ReasonKind, value: f64, [doubts, refutes]: [f64; 2], said: impl FnOnce() -> String) -> Option<Reason> {
+fn graded(kind: ReasonKind, value: f64, [doubts, refutes]: [f64; 2], text: impl FnOnce() -> String) -> Option<Reason> {
     match value {
-        v if v > refutes => Some(Reason::refutes(kind, said())),
-        v if v > doubts => Some(Reason::doubts(kind, 1.0, said())),
+        v if v > refutes => Some(Reason::refutes(kind, text())),
+        v if v > doubts => Some(Reason::doubts(kind, 1.0, text())),
         _ => None,
     }
 }
 
-/// A multiple, for sentences.
+/// A multiple, for messages.
 fn times(value: f64) -> String {
     if value.abs() < 1e4 { significant(value, 2) } else { "more than 10000".to_owned() }
 }

@@ -1,5 +1,7 @@
-//! Proportions, size and speed of a vehicle compared with its class. No meters are known: its height over the ground is
-//! the unit of its length and of its speed, and vehicles are compared with one another.
+//! Proportions, size and speed of a vehicle compared with its class.
+//!
+//! Meters are not known: the vehicle's height over the ground is the unit of its length and of its speed, and vehicles
+//! are compared with one another.
 
 use super::class::{self, Class};
 use super::{Candidate, Measures, graded, times};
@@ -7,31 +9,32 @@ use crate::math::upper_median;
 use crate::scene::ReasonKind::{Shape, Size, Speed};
 use crate::scene::{Finding, Reason, TimeBase};
 
-/// Factor by which stray points may extend the vehicle.
+/// Maximum factor by which stray points extend the vehicle.
 const STRAYS: f64 = 1.25;
-/// Factors beyond the limits of its class: beyond the second, nothing of that class looks so.
+/// Factors beyond the limits of the class: doubt, refutation. No vehicle of the class is beyond the second.
 const BEYOND: [f64; 2] = [1.0, 2.0];
 
 /// Checks the vehicle's length for its height against its class.
 pub(super) fn shape(measures: &Measures, class: &Class) -> Option<Reason> {
     let ratio = measures.in_heights(measures.length?)?;
-    // From behind only the width is seen.
+    // From behind only the width is visible.
     let least = 0.35 * class.lengths_m[0] / class.heights_m[1];
     let most = STRAYS * class.longest_in_heights;
-    let said = format!("length {} times its height", times(ratio));
-    let odd = || format!("{said}; expected {} to {} for a {}", times(least), times(most), class.name);
+    let text = format!("length {} times its height", times(ratio));
+    let odd = || format!("{text}; expected {} to {} for a {}", times(least), times(most), class.name);
     // Factor by which it is outside of the range; 1 or less inside.
     let beyond = (least / ratio).max(ratio / most);
-    Some(graded(Shape, beyond, BEYOND, odd).unwrap_or_else(|| Reason::supports(Shape, said)))
+    Some(graded(Shape, beyond, BEYOND, odd).unwrap_or_else(|| Reason::supports(Shape, text)))
 }
 
-/// Checks the vehicle's length against its apparent length. A vehicle from behind hides its length, but no more than
-/// that, and the less the further the camera looks down on it.
+/// Checks the vehicle's length against its apparent length.
+///
+/// A view from behind hides the length of the vehicle, but not more, and the less the higher the camera is.
 pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
     let stretch = measures.stretch?;
     let from_behind = class.longest_in_heights.min(class.lengths_m[1] / class.height_m);
     let dip_cosine = (1.0 - measures.dip_sine * measures.dip_sine).sqrt();
-    // Correct models of few points from above have up to 4.1 (real clips; rendered drives, 26° to 59° down: 2.1).
+    // Correct models of few points from above have up to 4.1 (real clips; rendered drives at 26° to 59° downward: 2.1).
     let most = STRAYS * 3.4_f64.max((measures.dip_sine + dip_cosine / from_behind).recip());
     let odd = || format!("model stretched {} times along the line of sight", times(stretch));
     graded(Shape, stretch / most, BEYOND, odd)
@@ -40,81 +43,83 @@ pub(super) fn stretch(measures: &Measures, class: &Class) -> Option<Reason> {
 /// Estimate from one vehicle for the size of the others: meters per unit of the background if it has its class's
 /// typical height.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(super) struct Yardstick {
+pub(super) struct SizeReference {
     id: u32,
-    metres: f64,
+    meters_per_unit: f64,
     spread: f64,
-    /// True if nothing rules the vehicle out by itself.
+    /// True if no check of the vehicle alone refutes it.
     is_sound: bool,
 }
 
-/// One for every vehicle that has a height.
-pub(super) fn yardsticks(
+/// Size reference of every vehicle with a height.
+pub(super) fn size_references(
     candidates: &[Candidate],
     measures: &[Measures],
     reasons: &[Vec<Reason>],
-) -> Vec<Option<Yardstick>> {
-    let yardstick = |k: usize| {
+) -> Vec<Option<SizeReference>> {
+    let size_reference = |k: usize| {
         let class = class::of(&candidates[k].trajectory.class);
         let height = measures[k].height.filter(|height| *height > 0.0)?;
-        Some(Yardstick {
+        Some(SizeReference {
             id: candidates[k].trajectory.id.0,
-            metres: class.height_m / height,
+            meters_per_unit: class.height_m / height,
             spread: class.spread(),
             is_sound: reasons[k].iter().all(|reason| reason.finding != Finding::Refutes),
         })
     };
-    (0..candidates.len()).map(yardstick).collect()
+    (0..candidates.len()).map(size_reference).collect()
 }
 
 /// Checks the vehicle's size relative to the others against its class.
 ///
-/// It is believed where at least as many of them agree with it as contradict it. Two vehicles alone do not say which of
-/// them is wrong: both are doubted. It is ruled out where none agrees and two or more contradict it by far, beyond what
-/// both classes allow, twice over.
-pub(super) fn beside_others(k: usize, all: &[Option<Yardstick>]) -> Option<Reason> {
+/// The size is supported if at least as many of the others agree with it as contradict it. Two vehicles alone do not
+/// show which of them is wrong: both are doubted. The size is refuted if none agrees and two or more contradict it by
+/// twice (in logarithms) what both classes allow.
+pub(super) fn relative_to_others(k: usize, all: &[Option<SizeReference>]) -> Option<Reason> {
     let own = all[k]?;
-    let others: Vec<&Yardstick> = all.iter().flatten().filter(|other| other.id != own.id && other.is_sound).collect();
-    let beyond = |limit: f64| others.iter().filter(|other| own.is_off(other, limit)).count();
+    let others: Vec<&SizeReference> =
+        all.iter().flatten().filter(|other| other.id != own.id && other.is_sound).collect();
+    let beyond = |limit: f64| others.iter().filter(|other| own.contradicts(other, limit)).count();
     let contradict = beyond(1.0);
     let agree = others.len() - contradict;
-    let factor = upper_median(others.iter().map(|other| other.metres / own.metres).collect())?;
+    let factor = upper_median(others.iter().map(|other| other.meters_per_unit / own.meters_per_unit).collect())?;
     Some(match agree {
-        0 if beyond(2.0) > 1 => Reason::refutes(Size, said(factor, &others)),
+        0 if beyond(2.0) > 1 => Reason::refutes(Size, comparison(factor, &others)),
         agree if agree < contradict => {
-            Reason::doubts(Size, 1.0, format!("{}: one of them is wrong", said(factor, &others)))
+            Reason::doubts(Size, 1.0, format!("{}: one of them is wrong", comparison(factor, &others)))
         }
-        _ => Reason::supports(Size, said(factor, &others)),
+        _ => Reason::supports(Size, comparison(factor, &others)),
     })
 }
 
-impl Yardstick {
-    /// Returns true if another one contradicts it, by what both classes allow to the power of `limit`.
-    fn is_off(&self, other: &Self, limit: f64) -> bool {
-        // Besides what their classes allow, their tops are not seen alike.
+impl SizeReference {
+    /// Returns true if another reference contradicts it: by a factor beyond that of both classes to the power of
+    /// `limit`.
+    fn contradicts(&self, other: &Self, limit: f64) -> bool {
+        // In addition to the factors of the classes, the visible tops differ.
         let allowed = self.spread * other.spread * 1.3;
-        (other.metres / self.metres).ln().abs() > limit * allowed.ln()
+        (other.meters_per_unit / self.meters_per_unit).ln().abs() > limit * allowed.ln()
     }
 }
 
-/// Of `factor`, by which the others are smaller than they should be if this one is of the right size.
-fn said(factor: f64, others: &[&Yardstick]) -> String {
-    let beside = match others {
+/// Comparison in words; `factor` is the size relative to the class, by the sizes of the others.
+fn comparison(factor: f64, others: &[&SizeReference]) -> String {
+    let reference = match others {
         [one] => format!("vehicle {}", one.id),
         many => format!("{} other vehicles", many.len()),
     };
     let (factor, size) = if factor >= 1.0 { (factor, "large") } else { (factor.recip(), "small") };
-    format!("{} times as {size} as usual for its class, relative to {beside}", times(factor))
+    format!("{} times as {size} as usual for its class, relative to {reference}", times(factor))
 }
 
 /// Checks the vehicle's speed, measured with its own height.
 pub(super) fn speed(measures: &Measures, class: &Class, time_base: TimeBase) -> Option<Reason> {
     let heights = measures.in_heights(measures.speed.filter(|_| time_base == TimeBase::Seconds)?)?;
     let speed_m_s = heights * class.height_m;
-    let said = format!("speed {} vehicle heights per second", times(heights));
-    let odd = || format!("{said}, about {} km/h for a {}", times(3.6 * speed_m_s), class.name);
-    // Speeds that are rare and that do not occur on roads.
-    Some(graded(Speed, speed_m_s, [60.0, 140.0], odd).unwrap_or_else(|| Reason::supports(Speed, said)))
+    let text = format!("speed {} vehicle heights per second", times(heights));
+    let odd = || format!("{text}, about {} km/h for a {}", times(3.6 * speed_m_s), class.name);
+    // Speeds that are rare, and that do not occur on roads.
+    Some(graded(Speed, speed_m_s, [60.0, 140.0], odd).unwrap_or_else(|| Reason::supports(Speed, text)))
 }
 
 #[cfg(test)]
@@ -122,7 +127,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_is_many_times_as_long_as_it_looks() {
+    fn models_much_longer_than_their_apparent_length_are_doubted() {
         let finding = |name: &str, stretch: f64, dip_sine: f64| {
             let measures = Measures { stretch: Some(stretch), dip_sine, ..Measures::default() };
             super::stretch(&measures, &class::of(name)).map(|reason| reason.finding)
@@ -143,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_many_times_as_long_as_high() {
+    fn vehicles_much_longer_than_high_are_doubted() {
         let finding = |class: &str, length: f64| {
             let measures = Measures { height: Some(2.0), length: Some(2.0 * length), ..Measures::default() };
             shape(&measures, &class::of(class)).unwrap().finding

@@ -1,4 +1,4 @@
-//! Vehicles that are none, and vehicles that are right.
+//! Verdicts on correct vehicles and on false ones.
 
 use std::collections::BTreeMap;
 
@@ -14,7 +14,7 @@ use crate::trajectory::{ObjectDescription, assemble};
 
 const NOISE: Noise = Noise { pixel_px: 0.3, plane_height_m: 0.02, plane_tilt_deg: 0.2, bad_planes: 0.0 };
 
-/// A car that drives, with what is known of it.
+/// A moving car, with its data.
 #[derive(Clone)]
 struct Car {
     world: Drive,
@@ -90,7 +90,7 @@ fn normal(car: &Car) -> Vector3<f64> {
 }
 
 #[test]
-fn a_car_that_drives_is_trusted_and_every_look_says_why() {
+fn a_moving_car_is_good_and_every_check_supports_it() {
     let verdict = judge(&[car(1, 1.0, &usual())]).remove(0);
     assert_eq!(verdict.state, Trust::Good, "{verdict:#?}");
     for kind in [
@@ -119,7 +119,7 @@ fn a_wrong_ratio_floats_or_sinks() {
 }
 
 #[test]
-fn a_parked_car_may_stand_lower_than_the_ground_around_it() {
+fn a_stationary_car_may_be_lower_than_the_ground_around_it() {
     let mut car = car(1, 1.0, &usual());
     let lift = 1.2 * height(&car);
     car.world.planes.values_mut().for_each(|plane| plane.point += plane.normal * lift);
@@ -137,7 +137,7 @@ fn a_parked_car_may_stand_lower_than_the_ground_around_it() {
 }
 
 #[test]
-fn an_unsure_ground_says_less_of_a_vehicle_that_floats() {
+fn an_uncertain_ground_does_not_refute_a_floating_vehicle() {
     for (share_of_height, is_refuted) in [(0.01, true), (1.0, false)] {
         let mut floating = car(1, 0.6, &usual());
         let std = share_of_height * height(&floating);
@@ -147,10 +147,10 @@ fn an_unsure_ground_says_less_of_a_vehicle_that_floats() {
     }
 }
 
-/// As the patch at the horizon of a clip from the air that a detector took for a car: static, 17 points, a small
-/// deviation, and a path that is nothing but noise.
+/// Like a patch at the horizon of an aerial clip that a detector classified as a car: static, 17 points, a small
+/// standard deviation, and a path of pure noise.
 #[test]
-fn a_patch_at_the_horizon_is_not_to_be_trusted() {
+fn a_patch_at_the_horizon_is_rejected() {
     let few = drive::Options { num_frames: 16, num_object_points: 17, has_wheels: false, ..usual() };
     let mut patch = car(8, 1.0, &few);
     patch.trajectory.scale = estimate(patch.trajectory.scale.ratio, 0.0037);
@@ -168,7 +168,7 @@ fn a_patch_at_the_horizon_is_not_to_be_trusted() {
 }
 
 #[test]
-fn a_model_that_is_drawn_out_along_the_line_of_sight_is_refuted() {
+fn a_model_stretched_along_the_line_of_sight_is_refuted() {
     let mut long = car(1, 1.0, &usual());
     let camera = long.world.object.images.values().next().unwrap().cam_from_world.center();
     let ray = (crate::trajectory::object_center(&long.world.object) - camera).normalize();
@@ -182,11 +182,11 @@ fn a_model_that_is_drawn_out_along_the_line_of_sight_is_refuted() {
 }
 
 #[test]
-fn a_car_a_tenth_as_large_as_the_others_is_ruled_out() {
+fn a_car_a_tenth_as_large_as_the_others_is_refuted() {
     let mut cars: Vec<Car> = (1..=3).map(|id| car(id, 1.0, &usual())).collect();
     let verdicts = judge(&cars);
     assert!(verdicts.iter().all(|v| finding(v, ReasonKind::Size) == Some(Finding::Supports)), "{verdicts:#?}");
-    // The third is a tenth as large: the same picture of a car, with a ground that is a tenth as far away.
+    // The third is a tenth as large: the same image of a car, with a ground at a tenth of the distance.
     let third = &mut cars[2];
     let camera = |frame: FrameId| {
         let image = third.world.background.images.values().find(|image| image.name == format!("{:06}.jpg", frame.0));
@@ -205,7 +205,7 @@ fn a_car_a_tenth_as_large_as_the_others_is_ruled_out() {
 }
 
 #[test]
-fn too_fast_backwards_and_jumping_paths_are_said() {
+fn fast_backward_and_jumping_paths_are_reported() {
     let fast = judge(&[car(1, 1.0, &drive::Options { speed_m_s: 200.0, ..usual() })]).remove(0);
     assert_eq!(finding(&fast, ReasonKind::Speed), Some(Finding::Refutes), "{fast:#?}");
     let mut jumping = car(1, 1.0, &usual());
@@ -216,14 +216,14 @@ fn too_fast_backwards_and_jumping_paths_are_said() {
     assert!(verdict.against().any(|reason| reason.says.contains("jumps")), "{verdict:#?}");
     let mut back = car(1, 1.0, &usual());
     let last = back.trajectory.poses.len() - 1;
-    let way = Vector3::from(back.trajectory.poses[last].position) - Vector3::from(back.trajectory.poses[0].position);
-    moved(&mut back, |k| -way * (k.saturating_sub(50) as f64) * 2.0 / last as f64);
+    let path = Vector3::from(back.trajectory.poses[last].position) - Vector3::from(back.trajectory.poses[0].position);
+    moved(&mut back, |k| -path * (k.saturating_sub(50) as f64) * 2.0 / last as f64);
     let verdict = judge(&[back]).remove(0);
     assert!(verdict.against().any(|reason| reason.says.contains("backward")), "{verdict:#?}");
 }
 
 #[test]
-fn a_model_that_is_folded_is_not_trusted() {
+fn a_folded_model_is_doubted_or_rejected() {
     let turned = |degrees: f64| {
         let mut car = car(1, 1.0, &usual());
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), degrees.to_radians());
@@ -240,7 +240,7 @@ fn a_model_that_is_folded_is_not_trusted() {
 }
 
 #[test]
-fn unsure_planes_do_not_make_it_rise_and_sink() {
+fn uncertain_planes_do_not_show_a_varying_height() {
     let with_planes = |change: &dyn Fn(u32, &mut GroundPlane, f64)| {
         let mut car = car(1, 1.0, &usual());
         let size = height(&car);
@@ -270,7 +270,7 @@ fn with_a_change_of_the_focal_length_no_verdict_is_better_than_doubtful() {
 }
 
 #[test]
-fn frames_without_seconds_have_no_speed_and_nothing_panics_on_little() {
+fn frames_without_seconds_have_no_speed_and_tiny_inputs_do_not_panic() {
     let single = car(1, 1.0, &usual());
     let of = |trajectory: &ObjectTrajectory, object: &Reconstruction| {
         let planes = BTreeMap::new();

@@ -4,7 +4,7 @@
 
 use std::path::Path;
 
-use crate::motion::{PointTrack, TrackLabel, alive, shows_standing};
+use crate::motion::{PointTrack, TrackLabel, alive, shows_stationary};
 use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate;
 use crate::pipeline::driver::run::Run;
@@ -37,7 +37,7 @@ pub(in crate::pipeline) fn write(
         let seen: Vec<([f64; 2], &TrackLabel)> =
             live.iter().filter_map(|&k| Some((tracks[k].at(index)?, &labels[k]))).collect();
         let stands = |rect: &Rect| {
-            shows_standing(seen.iter().filter(|([x, y], _)| rect.contains(*x, *y)).map(|(_, label)| label.verdict))
+            shows_stationary(seen.iter().filter(|([x, y], _)| rect.contains(*x, *y)).map(|(_, label)| label.verdict))
         };
         let standing: Vec<u32> =
             (0u32..).zip(&boxes).filter(|(_, found)| stands(&found.rect)).map(|(k, _)| k).collect();
@@ -52,7 +52,7 @@ pub(in crate::pipeline) fn boxes(run: &Run, detected: &segment::BoxFolder, frame
     let known = known(&super::folder(run));
     for number in known.read(frame)? {
         let wrong = || intermediate::damaged(&known.path(frame), format!("box {number} does not exist"));
-        found.get_mut(number as usize).ok_or_else(wrong)?.stands = true;
+        found.get_mut(number as usize).ok_or_else(wrong)?.is_stationary = true;
     }
     Ok(found)
 }

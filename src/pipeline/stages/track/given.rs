@@ -1,4 +1,4 @@
-//! Tracks from masks that are given: one object per label.
+//! Tracks from given masks: one object per label.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,7 +34,7 @@ pub(super) fn split(run: &Run, given: &Path, folder: &Path, outcome: &mut Outcom
 fn object(id: ObjectId, frames: Vec<FrameId>) -> TrackedObject {
     TrackedObject {
         id,
-        // Given masks state no class.
+        // Given masks have no class.
         class: "vehicle".to_owned(),
         confidence: 1.0,
         found_in: DetectionCounts { given: frames.len(), ..DetectionCounts::default() },

@@ -1,5 +1,4 @@
-//! The masks of all objects, frame by frame, as later stages read them: run lengths, so that the PNG images are decoded
-//! once.
+//! Masks of all objects by frame for later stages, run-length encoded, so that the PNG images are decoded once.
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +8,7 @@ use crate::pipeline::stages::segment::detections::FrameFolder;
 use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, Mask, ObjectId, TrackedObject};
 
-/// Masks by frame.
+/// Cached masks by frame.
 pub(super) struct KeptMasks {
     frames: FrameFolder<(ObjectId, Mask)>,
     size: (u32, u32),
@@ -20,12 +19,12 @@ impl KeptMasks {
         Self { frames: FrameFolder::new(folder), size: run.size() }
     }
 
-    /// Those of the stage, which must be done.
+    /// The masks of the stage, which must be done.
     pub(super) fn done(run: &Run) -> Self {
         Self::new(run, run.folder(Stage::Track))
     }
 
-    /// Keeps the masks of the stage's folder, each image of which is decoded once.
+    /// Caches the masks of the stage's folder; each image is decoded once.
     pub(super) fn keep(run: &Run, images: &Path, objects: &[TrackedObject], outcome: &mut Outcome) -> Result<Self> {
         let folder = run.workspace.intermediate(Stage::Track, &outcome.fingerprint)?;
         let kept = Self::new(run, folder.clone());
@@ -40,7 +39,7 @@ impl KeptMasks {
         Ok(kept)
     }
 
-    /// The masks of objects in a frame, in the order in which they were kept.
+    /// The masks of objects in a frame, in the order in which they were cached.
     pub(super) fn read(&self, objects: &[TrackedObject], frame: &Frame) -> Result<Vec<(ObjectId, Mask)>> {
         let wanted: Vec<ObjectId> = visible(objects, frame).collect();
         if wanted.is_empty() {

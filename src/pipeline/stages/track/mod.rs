@@ -1,4 +1,4 @@
-//! Stage `track`: one mask per object and frame, what found each object, and whether it moved.
+//! Stage `track`: one mask per object and frame, the sources of its detections, and its motion state.
 
 mod backward;
 mod cached_prompts;
@@ -24,7 +24,7 @@ use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, PipelineError, Result, Stage};
 use crate::scene::{Frame, Mask, Movement, ObjectId, Topic, TrackedObject};
 use crate::tracking::{MaskEvidence, TrackSummary, support};
-use detected::Finds;
+use detected::Detections;
 use kept_masks::KeptMasks;
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
@@ -52,13 +52,13 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
 }
 
 pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result<()> {
-    // Masks that were asked for, while the stage is at work.
+    // Prompted masks, cached while the stage runs.
     let answers = run.workspace.intermediate(Stage::Track, &outcome.fingerprint)?.join("answers");
     let objects = run.workspace.put_folder(&run.workspace.tracks(), |folder| {
         let (mut objects, summaries) = tracked(run, folder, &answers, outcome)?;
         let masks = KeptMasks::keep(run, folder, &objects, outcome)?;
-        let sighted = movement::find(run, &masks, &mut objects, outcome)?;
-        leave_out(&mut objects, &summaries, &sighted, outcome);
+        let evidence = movement::judge_all(run, &masks, &mut objects, outcome)?;
+        mark_skipped(&mut objects, &summaries, &evidence, outcome);
         Ok(objects)
     })?;
     if objects.is_empty() && run.options.instances != Instances::None {
@@ -79,48 +79,48 @@ fn tracked(
     answers: &Path,
     outcome: &mut Outcome,
 ) -> Result<(Vec<TrackedObject>, BTreeMap<ObjectId, TrackSummary>)> {
-    let mut finds = match &run.options.instances {
+    let mut detections = match &run.options.instances {
         Instances::None => return Ok((Vec::new(), BTreeMap::new())),
         Instances::Masks(masks) => return Ok((given::split(run, masks, folder, outcome)?, BTreeMap::new())),
-        Instances::Model(_) => Finds::masks(run),
-        Instances::Vehicles => Finds::boxes(run, answers.to_owned(), outcome)?,
+        Instances::Model(_) => Detections::masks(run),
+        Instances::Vehicles => Detections::boxes(run, answers.to_owned(), outcome)?,
     };
     let networks = Networks::of(run)?;
     let masks = if run.options.instances == Instances::Vehicles { networks.serving_masks(run) } else { &[] };
     outcome.figure("networks", hashes_by_name(masks.iter().chain(&run.options.flow_model))?);
-    let mut followed = detected::follow(run, &mut finds, folder, outcome)?;
-    backward::extend(run, &mut finds, folder, &mut followed, outcome)?;
-    merged::join_pieces(run, folder, &mut followed, outcome)?;
+    let mut tracks = detected::track_forward(run, &mut detections, folder, outcome)?;
+    backward::extend(run, &mut detections, folder, &mut tracks, outcome)?;
+    merged::merge_pieces(run, folder, &mut tracks, outcome)?;
     let (mut objects, mut summaries): (Vec<_>, BTreeMap<_, _>) =
-        followed.into_iter().map(|f| (f.object(), (f.summary.id, f.summary))).unzip();
-    if let Finds::Masks { .. } = finds {
-        // What a network of the user's finds is taken for a vehicle, and states no quality of its masks.
+        tracks.into_iter().map(|f| (f.object(), (f.summary.id, f.summary))).unzip();
+    if let Detections::Masks { .. } = detections {
+        // Objects of a user's network count as vehicles, and their masks have no stated quality.
         summaries.clear();
         objects.iter_mut().for_each(|object: &mut TrackedObject| object.mask_quality = None);
     }
     Ok((objects, summaries))
 }
 
-/// Says of the objects that are not vehicles enough that they are not reconstructed.
+/// Marks the objects without enough evidence of being vehicles as skipped.
 ///
-/// * `summaries` – of the objects that the program found by itself.
-/// * `sighted` – what the masks say of each.
-fn leave_out(
+/// * `summaries` – of the objects that the program detected.
+/// * `evidence` – of the masks of each object.
+fn mark_skipped(
     objects: &mut [TrackedObject],
     summaries: &BTreeMap<ObjectId, TrackSummary>,
-    sighted: &BTreeMap<ObjectId, MaskEvidence>,
+    evidence: &BTreeMap<ObjectId, MaskEvidence>,
     outcome: &mut Outcome,
 ) {
     for object in objects {
-        let Some((summary, sighted)) = summaries.get(&object.id).zip(sighted.get(&object.id)) else { continue };
-        if let Err(reason) = support(summary, sighted) {
+        let Some((summary, evidence)) = summaries.get(&object.id).zip(evidence.get(&object.id)) else { continue };
+        if let Err(reason) = support(summary, evidence) {
             outcome.warn(Topic::VehicleSkipped.warning(format!("object {}: skipped: {reason}", object.id)));
             object.left_out = Some(reason.to_string());
         }
     }
 }
 
-/// The masks of all tracked objects in one frame.
+/// Masks of all tracked objects in one frame.
 pub(in crate::pipeline) fn masks_of(
     run: &Run,
     objects: &[TrackedObject],
@@ -129,26 +129,26 @@ pub(in crate::pipeline) fn masks_of(
     KeptMasks::done(run).read(objects, frame)
 }
 
-/// The mask of an object in a folder of images that is still in the making.
+/// Mask of an object in a folder of images that is being written.
 fn mask_in(run: &Run, folder: &Path, id: ObjectId, frame: &Frame) -> Result<Mask> {
     Ok(masks::read_mask(&mask_path(folder, id, frame), run.size())?)
 }
 
-/// Where the mask of an object lies in a folder of masks.
+/// File path of an object's mask in a folder of masks.
 fn mask_path(folder: &Path, id: ObjectId, frame: &Frame) -> PathBuf {
     folder.join(id.to_string()).join(RunFolder::mask_name(frame))
 }
 
-/// The optical flow of the run's options.
+/// Loads the optical flow of the run's options.
 pub(in crate::pipeline) fn load_flow_estimator(run: &Run) -> Result<Box<dyn FlowEstimator>> {
     let options = run.options;
     Ok(load_flow(options.flow_model.as_deref(), options.resources())?)
 }
 
-/// Refuses models of objects that there are not.
+/// Rejects models of objects that do not exist.
 ///
 /// # Errors
-/// [`PipelineError::Options`] says which there are.
+/// [`PipelineError::Options`] lists those that exist.
 pub(in crate::pipeline) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> Result<()> {
     let unknown = run.options.object_models.keys().find(|id| !ids.contains(id));
     let Some(id) = unknown else { return Ok(()) };
@@ -156,7 +156,7 @@ pub(in crate::pipeline) fn check_models(run: &Run, ids: &BTreeSet<ObjectId>) -> 
     Err(PipelineError::Options(text))
 }
 
-/// Holds what was asked for by id against what was tracked.
+/// Checks the objects that options name by id against the tracked ones.
 ///
 /// # Errors
 /// As [`check_models`].

@@ -1,4 +1,4 @@
-//! Which of the tracked objects moved: the points of the stage `motion` that lie on their masks say it.
+//! Motion states of the tracked objects, from the points of the stage `motion` on their masks.
 
 use std::collections::BTreeMap;
 
@@ -22,7 +22,7 @@ use crate::scene::{
 use crate::tracking::MaskEvidence;
 use crate::trajectory::motion_by_shaking;
 
-/// Finding where nothing was examined.
+/// Finding without evidence.
 pub(super) fn unknown() -> MovementFinding {
     MovementFinding { state: Movement::Undetermined, reason: "unordered images show no motion".to_owned() }
 }
@@ -37,13 +37,15 @@ pub(in crate::pipeline) struct PointFinding {
 }
 
 impl PointFinding {
-    /// Returns true if points leave the lines of stationary ones, in part of the frames at least, or masks their place.
+    /// Returns true if points leave the lines of stationary ones, or if masks change their position.
+    ///
+    /// Points that leave them in part of the frames suffice.
     pub(in crate::pipeline) fn points_move(&self) -> bool {
         use MovementReason::{MovesForATime, PointsMove, Travels};
         matches!(self.reason, Some(PointsMove | MovesForATime | Travels))
     }
 
-    /// Stationary, if a camera that shakes shows it; `None` where points move or the camera is too calm.
+    /// Finds an object stationary by the shaking of the camera; `None` where points move or the camera is too steady.
     ///
     /// * `object` – triangulated from the background's cameras.
     pub(in crate::pipeline) fn at_rest_by_shaking(
@@ -65,7 +67,7 @@ impl PointFinding {
 /// Findings by points of all objects.
 pub(in crate::pipeline) type PointFindings = BTreeMap<ObjectId, PointFinding>;
 
-/// The findings as the stage keeps them.
+/// File of the findings in the stage's state.
 const FINDINGS: &str = "track-movement.json";
 
 /// The findings by points; the stage `track` must be done.
@@ -73,8 +75,10 @@ pub(in crate::pipeline) fn by_points(run: &Run) -> Result<PointFindings> {
     run.workspace.read_state(FINDINGS)
 }
 
-/// Says of every object whether it moved. Gives what its masks say of it; nothing where nothing was looked at.
-pub(super) fn find(
+/// Determines the motion state of every object; returns the evidence of its masks.
+///
+/// Without examined points the states stay as they are.
+pub(super) fn judge_all(
     run: &Run,
     masks: &KeptMasks,
     objects: &mut [TrackedObject],
@@ -84,22 +88,22 @@ pub(super) fn find(
     let on = if points.frames.is_empty() { BTreeMap::new() } else { on_objects(run, masks, objects, &points)? };
     let (second, hovers) = (frames_per_second(run.frames()?), background::hovers(run));
     let none = OnObject::default();
-    let (mut sighted, mut findings) = (BTreeMap::new(), PointFindings::new());
+    let (mut evidence, mut findings) = (BTreeMap::new(), PointFindings::new());
     for object in objects {
         let on_it = on.get(&object.id).unwrap_or(&none);
         let mut pieces = vec![Vec::new(); object.gaps.len() + 1];
         for (&track, &count) in &on_it.counts {
-            let foot = on_it.feet.get(&track).copied();
+            let contact = on_it.contacts.get(&track).copied();
             let (track, label) = (&points.tracks[track], &points.labels[track]);
             let first = points.frames.get(track.first as usize);
             let piece = object.gaps.iter().filter(|gap| first.is_some_and(|first| *first >= gap.first)).count();
             let inside = count as f64 / track.pixels.len().max(1) as f64;
-            pieces[piece].push(PointOnObject { track, label, inside, foot });
+            pieces[piece].push(PointOnObject { track, label, inside, contact });
         }
         let mut judged = judge_pieces(&pieces, second);
         if hovers {
             judged = without_sway(judged, &pieces.concat(), on_it.mean_size_px());
-            judged = with_travel(judged, &on_it.sights, on_it.mean_size_px() / on_it.focal_px);
+            judged = with_travel(judged, &on_it.directions, on_it.mean_size_px() / on_it.focal_px);
         }
         let is_examined = !points.frames.is_empty();
         if is_examined {
@@ -109,10 +113,10 @@ pub(super) fn find(
         findings.insert(object.id, PointFinding { finding: object.movement.clone(), reason });
         let (num_frames, movement) = (object.frames.len(), object.movement.state);
         let (mean_share, is_flat) = (on_it.mean_share(run.size()), judged.is_flat);
-        sighted.insert(object.id, MaskEvidence { num_frames, mean_share, movement, is_flat });
+        evidence.insert(object.id, MaskEvidence { num_frames, mean_share, movement, is_flat });
     }
     run.keep(FINDINGS, &findings, outcome)?;
-    Ok(sighted)
+    Ok(evidence)
 }
 
 /// Mean rate of the frames, Hz.
@@ -125,15 +129,17 @@ fn frames_per_second(frames: &[Frame]) -> f64 {
 /// Points on an object's masks.
 #[derive(Default)]
 struct OnObject {
-    /// Per track of a point the number of frames in which it does.
+    /// Per track of a point the number of frames in which it is on a mask of the object.
     counts: BTreeMap<usize, usize>,
-    /// Per track the foot of the object below its point.
-    feet: BTreeMap<usize, ContactDepth>,
-    /// Direction to the middle of each mask, in the background's frame, and the last focal length.
-    sights: Vec<Vector3<f64>>,
+    /// Per track the object's contact point below its point.
+    contacts: BTreeMap<usize, ContactDepth>,
+    /// Direction to the center of each mask, in the background's frame.
+    directions: Vec<Vector3<f64>>,
+    /// Focal length in the last of them, pixels.
     focal_px: f64,
-    /// Pixels of all masks, and their number.
+    /// Pixels of all masks.
     area: usize,
+    /// Number of masks.
     num_masks: usize,
 }
 
@@ -143,15 +149,17 @@ impl OnObject {
         (self.area as f64 / self.num_masks.max(1) as f64).sqrt()
     }
 
-    /// Mean share of the picture that the masks cover.
+    /// Mean share of the image that the masks cover.
     fn mean_share(&self, (width, height): (u32, u32)) -> f64 {
         let all = f64::from(width) * f64::from(height) * self.num_masks.max(1) as f64;
         self.area as f64 / all.max(1.0)
     }
 }
 
-/// That its foot would float says of a vehicle that it comes nearer; of anything else, that it is a tree, a sign or a
-/// balcony.
+/// Movement finding of an object by its points.
+///
+/// If the contact point of a stationary object would float above the ground, a vehicle is approaching; anything else
+/// may be a tree, a sign or a balcony.
 fn finding(object: &TrackedObject, judged: &Judgement) -> MovementFinding {
     let DetectionCounts { given, .. } = object.found_in;
     let is_vehicle = given > 0 || object.found_in.by_detector() > object.found_in.motion;
@@ -171,7 +179,7 @@ fn on_objects(
 ) -> Result<BTreeMap<ObjectId, OnObject>> {
     let names: BTreeMap<FrameId, &Frame> = run.frames()?.iter().map(|frame| (frame.id, frame)).collect();
     let seen: Vec<Frame> = points.frames.iter().filter_map(|id| Some((*names.get(id)?).clone())).collect();
-    // Without every frame's name the world's frames are not those that tracks count.
+    // If a frame is missing, the world's frames are not those that tracks count.
     let world = if seen.len() == points.frames.len() { motion::world(run, &seen)? } else { None };
     let mut found: BTreeMap<ObjectId, OnObject> = BTreeMap::new();
     for ((index, id), live) in (0u32..).zip(&points.frames).zip(alive(&points.tracks)) {
@@ -183,7 +191,7 @@ fn on_objects(
             let view = world.as_ref().and_then(|world| world.views[index as usize].as_ref());
             if let Some((view, bounds)) = view.zip(mask.bounding_box()) {
                 let in_cam = view.camera.ray_from_pixel(Rect::from(bounds).center().into());
-                on_it.sights.push(view.cam_from_world.rotation.inverse() * in_cam.normalize());
+                on_it.directions.push(view.cam_from_world.rotation.inverse() * in_cam.normalize());
                 on_it.focal_px = view.camera.mean_focal();
             }
             for &k in &live {
@@ -191,8 +199,8 @@ fn on_objects(
                 *on_it.counts.entry(k).or_default() += 1;
                 let point = points.labels[k].static_point.filter(|point| point.frame == index);
                 if let Some((world, point)) = world.as_ref().zip(point) {
-                    let foot = foot(world, &mask, pixel, &point);
-                    on_it.feet.extend(foot.map(|foot| (k, foot)));
+                    let contact = contact_depth(world, &mask, pixel, &point);
+                    on_it.contacts.extend(contact.map(|contact| (k, contact)));
                 }
             }
         }
@@ -200,11 +208,11 @@ fn on_objects(
     Ok(found)
 }
 
-/// The foot of an object below one of its points: where its mask ends in the point's column.
-fn foot(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint) -> Option<ContactDepth> {
+/// Contact point of an object below one of its points: the end of its mask in the point's column.
+fn contact_depth(world: &World, mask: &Mask, [x, y]: [f64; 2], point: &StaticPoint) -> Option<ContactDepth> {
     let view = world.views.get(point.frame as usize)?.as_ref()?;
     let (column, first) = (x.floor() as i64, y.floor() as i64);
     let last = (first..i64::from(mask.height())).rev().find(|&row| mask.get(column, row))?;
     let is_cut = last + i64::from(TRUNCATION_PX) >= i64::from(mask.height());
-    world.ground.as_ref()?.foot(view, [x, (last + 1) as f64], is_cut, point)
+    world.ground.as_ref()?.contact_depth(view, [x, (last + 1) as f64], is_cut, point)
 }
