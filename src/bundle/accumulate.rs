@@ -1,7 +1,7 @@
 //! Contribution of the points of one piece to the reduced system (eq. 10).
 //!
-//! A piece sums into blocks of its own, so that a thread never waits for another nor reads what another has just
-//! written; [`super::schur::Reduced::add`] adds the pieces up in order.
+//! Every piece has separate accumulators, so that threads neither wait for each other nor read each other's recent
+//! writes. [`super::schur::Reduced::add`] adds the pieces up in order.
 
 use std::ops::Range;
 
@@ -13,7 +13,7 @@ use super::piece::{Piece, reach};
 use super::residual::Residual;
 use super::simd::Fused;
 
-/// Per view: right-hand side, gradient, and the diagonal before elimination and damping.
+/// Right-hand side, gradient, and diagonal before elimination and damping, of one view.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct ViewTerms<const D: usize> {
     pub reduced: [f64; D],
@@ -33,11 +33,11 @@ impl<const D: usize> ViewTerms<D> {
     }
 }
 
-/// Sums over the points of one piece, for the views that see any of them and those between.
+/// Sums over the points of one piece, for the range of views that observe them.
 pub(super) struct Sums<const D: usize> {
-    /// Views that it reaches.
+    /// Range of views that the piece covers.
     pub view_range: Range<usize>,
-    /// Places in the pattern of the blocks of their panels.
+    /// Range, in the pattern, of the blocks of these views' panels.
     pub block_range: Range<usize>,
     pub blocks: Vec<[[f64; D]; D]>,
     pub views: Vec<ViewTerms<D>>,
@@ -45,18 +45,18 @@ pub(super) struct Sums<const D: usize> {
     pub cameras: CameraSums,
     /// Observations of the piece.
     pub obs_range: Range<usize>,
-    /// JᵀQ of each, for a system that is not formed; else empty.
+    /// JᵀQ of each observation if the reduced system is not formed; otherwise empty.
     pub coupling: Vec<[[f64; 3]; D]>,
 }
 
-/// Makes a list of so many zeros.
+/// Resets a list to `len` zeros.
 fn zeros<T: Clone>(list: &mut Vec<T>, len: usize, zero: T) {
     list.clear();
     list.resize(len, zero);
 }
 
 impl<const D: usize> Sums<D> {
-    /// Of nothing.
+    /// Empty sums.
     pub fn new(layout: &Layout) -> Self {
         Self {
             blocks: Vec::new(),
@@ -70,7 +70,7 @@ impl<const D: usize> Sums<D> {
         }
     }
 
-    /// Forgets everything and makes room for a piece.
+    /// Clears the sums and resizes them for a piece.
     pub fn begin(&mut self, layout: &Layout, pattern: &Pattern, piece: &Piece) {
         self.view_range = reach(layout, piece);
         self.block_range = pattern.start[self.view_range.start]..pattern.start[self.view_range.end];
@@ -82,7 +82,7 @@ impl<const D: usize> Sums<D> {
         self.coupling.clear();
     }
 
-    /// Adds one point, whose observations are linearised and eliminated. Observations are sorted by view, those without
+    /// Adds one point, whose observations are linearized and eliminated. Observations are sorted by view, those without
     /// a view block last.
     #[inline(always)]
     pub fn add_point<F: Fused>(&mut self, layout: &Layout, pattern: &Pattern, one: &OnePoint<D>, point: usize) {
@@ -122,7 +122,7 @@ impl<const D: usize> Sums<D> {
         }
     }
 
-    /// Adds one point to a system that is not formed: to the blocks of its views, in which it stays, and to the
+    /// Adds one point to a system that is not formed: to the blocks of its views, without elimination, and to the
     /// coupling.
     #[inline(always)]
     fn couple_point<F: Fused>(&mut self, layout: &Layout, one: &OnePoint<D>, point: usize) {

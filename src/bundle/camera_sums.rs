@@ -1,14 +1,14 @@
-//! The shared cameras' part of the reduced system: a dense block, and a border towards the views (eq. 10).
+//! Part of the reduced system for shared cameras: a dense block, and a border coupling it to the views (eq. 10).
 
 use super::layout::{Layout, NONE};
 use super::one_point::OnePoint;
 use super::prior_terms::PriorTerms;
 use super::simd::Fused;
 
-/// Freedoms reserved for a shared camera.
+/// Degrees of freedom reserved for a shared camera.
 pub(super) const CAMERA_DIM: usize = 6;
 
-/// The part of the k-th observation of a point in the blocks between its view and all shared cameras that see the
+/// Contribution of a point's k-th observation to the blocks between its view and all shared cameras observing the
 /// point.
 #[inline(always)]
 pub(super) fn add_border<const D: usize, F: Fused>(
@@ -37,7 +37,7 @@ pub(super) fn add_border<const D: usize, F: Fused>(
     }
 }
 
-/// Sums over points for the shared cameras' own block, row-major, both triangles.
+/// Sums over points for the diagonal block of the shared cameras, row-major, both triangles.
 #[derive(Clone, Debug)]
 pub(super) struct CameraSums {
     n: usize,
@@ -52,14 +52,14 @@ impl CameraSums {
         Self { n, block: vec![0.0; n * n], reduced: vec![0.0; n], gradient: vec![0.0; n], diagonal: vec![0.0; n] }
     }
 
-    /// Forgets everything.
+    /// Clears the sums.
     pub fn clear(&mut self) {
         for list in [&mut self.block, &mut self.reduced, &mut self.gradient, &mut self.diagonal] {
             list.fill(0.0);
         }
     }
 
-    /// Adds one point, whose observations are linearised and eliminated.
+    /// Adds one point, whose observations are linearized and eliminated.
     pub fn add_point<const D: usize>(&mut self, layout: &Layout, one: &OnePoint<D>, point: usize) {
         for (k, o) in layout.obs_of_point(point).enumerate().filter(|(_, o)| layout.obs_slot[*o] != NONE) {
             let first = layout.slots[layout.obs_slot[o] as usize] as usize * CAMERA_DIM;
@@ -97,7 +97,7 @@ impl CameraSums {
         }
     }
 
-    /// Adds another's sums.
+    /// Adds the sums of another instance.
     pub fn merge(&mut self, other: &Self) {
         let lists = [
             (&mut self.block, &other.block),

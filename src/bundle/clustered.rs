@@ -1,8 +1,8 @@
-//! Covariance of camera centres where observations err together.
+//! Covariance of camera centers under errors correlated within groups of observations.
 //!
 //! With the scores s_g = Σ Jᵀ (r − Q z) of the reduced system over the points of each group g, the covariance is
 //! S⁻¹ (Σ s_g s_gᵀ) S⁻¹ (the sandwich of P. Huber, *The behavior of maximum likelihood estimates under nonstandard
-//! conditions*, 1967; eq. 18). Residuals count as they are, whatever the noise is believed to be.
+//! conditions*, 1967; eq. 18). It uses the actual residuals, whatever noise is assumed.
 
 use nalgebra::{Matrix3, Vector3};
 
@@ -14,16 +14,16 @@ use super::problem::BundleError;
 use super::simd::Two;
 use super::state::State;
 
-/// Groups of points within which observations err together.
+/// Groups of points within which observation errors are correlated.
 #[derive(Default)]
 pub(super) struct Groups {
-    /// By point of the problem.
+    /// Group of each point of the problem.
     pub of_point: Vec<usize>,
     /// Number of groups.
     pub count: usize,
 }
 
-/// Σ Jᵀ (r − Q z) over the observations of each group's points, less their mean, which is 0 at the minimum.
+/// Σ Jᵀ (r − Q z) over the observations of each group's points, minus their mean, which is 0 at the minimum.
 ///
 /// * `size` – number of unknowns of the reduced system.
 pub(super) fn scores<const D: usize>(pass: &Pass, state: &State, groups: &Groups, size: usize) -> Vec<Vec<f64>> {
@@ -55,7 +55,7 @@ pub(super) fn scores<const D: usize>(pass: &Pass, state: &State, groups: &Groups
 }
 
 impl System<'_> {
-    /// Covariance of a camera's centre by the groups of points.
+    /// Covariance of a camera center from the scores of the groups of points.
     pub fn clustered_center(&mut self, pose: usize) -> Result<Matrix3<f64>, BundleError> {
         let block = self.block_of_pose(pose)?;
         let (size, first) = (self.size, block * self.dim + 3);

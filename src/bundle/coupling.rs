@@ -1,32 +1,32 @@
 //! Coupling of views and points, for problems in which few points have many views (eqs. 8a–8b).
 //!
-//! A vehicle far ahead has fifty points in two hundred frames. Then the reduced camera system is as good as full and
-//! much larger than that of the points, and it is cheaper not to form it: the views' own blocks and the coupling of
-//! every view with every point that it sees are enough to solve it ([`super::solver`]).
+//! A vehicle far ahead has fifty points in two hundred frames. Then the reduced camera system is almost dense and much
+//! larger than the system of the points, and it is cheaper not to form it. The diagonal blocks of the views and the
+//! coupling of every view with every point that it observes suffice to solve it ([`super::solver`]).
 
 use super::layout::{Layout, NONE};
 
-/// Smaller systems are factorised in less time than anything else takes.
+/// Number of unknowns up to which forming and factorizing the reduced system is always fastest.
 const FEW_UNKNOWNS: usize = 300;
-/// The other way must cost so many times as much: its kernels do more in the same time.
+/// Minimum ratio of multiplications, formed to not formed: the kernels of the formed system have higher throughput.
 const CLEAR_GAIN: f64 = 2.0;
 
 /// The observations of one point in one view.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Pair {
-    /// Place in [`Layout::points`].
+    /// Index in [`Layout::points`].
     pub point: u32,
     /// First observation.
     pub first_obs: u32,
-    /// Number of observations: more than one where an image shows a point twice.
+    /// Number of observations: more than one if an image observes a point twice.
     pub num_obs: u32,
 }
 
-/// Blocks JᵀQ (D × 3), and which belong to which view.
+/// Blocks JᵀQ (D × 3), and their assignment to views.
 pub(super) struct Coupling<const D: usize> {
-    /// By observation, in the order of the layout; those without a view are zero.
+    /// One block per observation, in the order of the layout; zero for observations without a view block.
     pub blocks: Vec<[[f64; 3]; D]>,
-    /// Of the first view, then of the second, and so on; within a view by point, ascending.
+    /// Pairs of all views, sorted by view, then by point, ascending.
     pairs: Vec<Pair>,
     /// First pair of each view, and the end of the last.
     start: Vec<usize>,
@@ -35,7 +35,7 @@ pub(super) struct Coupling<const D: usize> {
 }
 
 impl<const D: usize> Coupling<D> {
-    /// Of a problem whose reduced camera system is better not formed; `None` for all others.
+    /// Coupling of a problem for which not forming the reduced camera system is cheaper; `None` for all others.
     pub fn where_it_pays(layout: &Layout) -> Option<Self> {
         if layout.num_blocks() * D <= FEW_UNKNOWNS || !layout.shared.is_empty() {
             return None;
@@ -78,7 +78,7 @@ impl<const D: usize> Coupling<D> {
         self.start.len() - 1
     }
 
-    /// Points that a view sees.
+    /// Points that a view observes.
     pub fn pairs(&self, view: usize) -> &[Pair] {
         &self.pairs[self.start[view]..self.start[view + 1]]
     }
@@ -94,7 +94,7 @@ impl<const D: usize> Coupling<D> {
         sum
     }
 
-    /// Multiplications that a step takes with it.
+    /// Multiplications per step if the reduced system is not formed.
     fn work(&self) -> f64 {
         let of_views = (0..self.num_views()).map(|view| (3 * self.pairs(view).len() * D) as f64);
         let sums: f64 = of_views.map(|size| size * size / (2 * D) as f64 + size * D as f64 / 2.0).sum();
@@ -102,7 +102,7 @@ impl<const D: usize> Coupling<D> {
     }
 }
 
-/// Multiplications that a step takes where the reduced camera system is formed, and factorised within its envelope.
+/// Multiplications per step if the reduced camera system is formed, and factorized within its envelope.
 fn work_of_views<const D: usize>(layout: &Layout) -> f64 {
     let pairs_of = |count: usize| (count * (count + 1) / 2) as f64;
     let pairs: f64 = (0..layout.points.len()).map(|point| pairs_of(layout.blocks_of_point(point).len())).sum();

@@ -15,10 +15,10 @@ use super::schur::Reduced;
 use super::solver::Solver;
 use super::state::State;
 
-/// Beyond this the digits of a double are used up, and a variance means nothing.
+/// Maximum variance inflation: beyond it the precision of a double is exhausted, and a variance is meaningless.
 const LARGEST_INFLATION: f64 = 1e12;
 
-/// Blocks whose covariance is wanted, as indices in the lists of [`Problem`].
+/// Blocks whose covariance is requested, as indices in the lists of [`Problem`].
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Wanted {
     /// Poses.
@@ -27,32 +27,33 @@ pub struct Wanted {
     pub cameras: Vec<usize>,
 }
 
-/// Uncertainty of each, given that of everything else that is free; in the order of [`Wanted`].
+/// Marginal covariances of the requested blocks, in the order of [`Wanted`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Covariances {
-    /// Of poses.
+    /// Covariances of poses.
     pub poses: Vec<PoseCovariance>,
-    /// Of fx, fy, cx, cy, k1, k2; held ones have zero rows and columns.
+    /// Covariances of fx, fy, cx, cy, k1, k2; constant parameters have zero rows and columns.
     pub cameras: Vec<Matrix6<f64>>,
 }
 
 /// Uncertainty of one pose.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PoseCovariance {
-    /// Of the perturbation (ω, v) of `cam_from_world`: R' = exp(ω) R, t' = exp(ω) t + v; radians and world units.
-    /// Freedoms that the gauge holds have zero rows and columns.
+    /// Covariance of the perturbation (ω, v) of `cam_from_world`: R' = exp(ω) R, t' = exp(ω) t + v; radians and world
+    /// units. Degrees of freedom fixed by the gauge have zero rows and columns.
     pub pose: Matrix6<f64>,
-    /// Of the camera centre in the world.
+    /// Covariance of the camera center in the world.
     pub center: Matrix3<f64>,
 }
 
-/// Covariances at the current state: blocks of the inverse of the normal equations with the gauge held as
-/// [`Options::gauge`] says (eq. 16). Observations count with their own standard deviations; multiply by the
-/// variance factor where those are only relative.
+/// Covariances at the current state: blocks of the inverse of the normal equations (eq. 16).
+///
+/// The gauge is fixed by [`Options::gauge`]. Observations are weighted by their standard deviations; multiply by the
+/// variance factor if these are only relative.
 ///
 /// # Errors
-/// As [`super::adjust`]; [`BundleError::NoCovariance`] for a block that is held or unobserved,
-/// [`BundleError::Singular`] where the gauge is free or something is not determined by what is observed.
+/// As [`super::adjust`]; [`BundleError::NoCovariance`] for a block that is constant or unobserved,
+/// [`BundleError::Singular`] if the gauge is free or the observations do not determine a parameter.
 pub fn covariances(problem: &Problem, options: &Options, wanted: &Wanted) -> Result<Covariances, BundleError> {
     options.check()?;
     problem.check()?;
@@ -66,15 +67,15 @@ pub fn covariances(problem: &Problem, options: &Options, wanted: &Wanted) -> Res
     })?
 }
 
-/// The normal equations without damping, eliminated and factorised.
+/// Undamped normal equations with the points eliminated, factorized.
 pub(super) struct System<'a> {
     pub problem: &'a Problem,
     pub layout: &'a Layout,
-    /// Number of unknowns, held ones included.
+    /// Number of unknowns, constant ones included.
     pub size: usize,
-    /// Freedoms of a view block.
+    /// Degrees of freedom of a view block.
     pub dim: usize,
-    /// Diagonals of the views' own blocks.
+    /// Diagonals of the views' diagonal blocks.
     diagonals: Vec<f64>,
     solver: Solver,
     /// Scores of groups of points; see [`super::clustered`].
@@ -82,7 +83,7 @@ pub(super) struct System<'a> {
 }
 
 impl<'a> System<'a> {
-    /// * `groups` – of points, with scores of their own.
+    /// * `groups` – groups of points for which scores are computed.
     pub fn new(
         problem: &'a Problem,
         options: &Options,
@@ -117,7 +118,7 @@ impl<'a> System<'a> {
         Ok(Self { problem, layout, size: reduced.size(), dim: D, diagonals, solver, scores })
     }
 
-    /// Columns of S⁻¹, one after the other, and its block of the rows that belong to them.
+    /// Columns of S⁻¹, concatenated, and the block of S⁻¹ at the corresponding rows.
     pub fn inverse(&mut self, rows: &[usize]) -> (Vec<f64>, DMatrix<f64>) {
         let (size, count) = (self.size, rows.len());
         let mut columns = vec![0.0; size * count];
@@ -130,7 +131,7 @@ impl<'a> System<'a> {
         (columns, block)
     }
 
-    /// View block of a pose, of which a freedom moves or a camera.
+    /// View block of a pose with a free pose or camera parameter.
     pub fn block_of_pose(&self, pose: usize) -> Result<usize, BundleError> {
         let block = self.layout.block_of_pose.get(pose).copied().filter(|block| *block != NONE);
         block.map(|block| block as usize).ok_or(BundleError::NoCovariance { what: "pose", index: pose })
@@ -151,7 +152,7 @@ impl<'a> System<'a> {
         let first = block * self.dim;
         let (_, free) = self.inverse(&(first..first + POSE_DIM).collect::<Vec<_>>());
         let of_pose = Matrix6::from_fn(|r, c| if mask[r] && mask[c] { free[(r, c)] } else { 0.0 });
-        // Rounding can hide a zero pivot; a variance so much larger than if all else were known betrays it.
+        // Rounding can hide a zero pivot; the variance is then far larger than the conditional one.
         let inflation = |k: usize| of_pose[(k, k)] * self.diagonals[first + k];
         if let Some(k) = (0..POSE_DIM).find(|k| mask[*k] && !(inflation(*k) < LARGEST_INFLATION)) {
             return Err(BundleError::Singular { pivot: first + k });
@@ -179,7 +180,7 @@ impl<'a> System<'a> {
         if let Some(k) = (0..rows.len()).find(is_open) {
             return Err(BundleError::Singular { pivot: rows[k] });
         }
-        // How the six intrinsics follow from the free columns (eq. 4).
+        // Derivatives of the six intrinsics by the free columns (eq. 4).
         let columns = self.layout.columns[camera];
         let mut intrinsics = Matrix6::zeros();
         for k in 0..columns.len {

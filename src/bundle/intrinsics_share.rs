@@ -1,8 +1,9 @@
-//! Share of the intrinsics in the uncertainty of camera centers.
+//! Contribution of the intrinsics to the uncertainty of camera centers.
 //!
-//! Intrinsics θ that are off move all centers together, by J δθ with J = Cov(c, θ) Cov(θ)⁻¹ in the adjustment that has
-//! both free (eq. 16). A similarity of the whole path is no error of it, so that the least-squares similarity is
-//! subtracted from every column of J: with P the projector that does this, the share of a center is P J Σ_θ Jᵀ Pᵀ.
+//! An error δθ of the intrinsics displaces all centers jointly by J δθ, with J = Cov(c, θ) Cov(θ)⁻¹ from the adjustment
+//! in which both are free (eq. 16). A similarity of the whole trajectory does not count as an error. Therefore the
+//! least-squares similarity is subtracted from every column of J. With P the projector that does this, the contribution
+//! to a center's covariance is P J Σ_θ Jᵀ Pᵀ.
 
 use nalgebra::{DMatrix, Matrix3, Point3, Vector3};
 
@@ -13,8 +14,9 @@ use super::options::Options;
 use super::problem::{BundleError, Problem};
 use crate::math::centroid;
 
-/// Covariances of the centers of all poses by the intrinsics that are free in a problem, with Σ_θ = Cov(θ); zero for
-/// poses that nothing moves.
+/// Covariances of the centers of all poses caused by the free intrinsics of a problem, with Σ_θ = Cov(θ).
+///
+/// Zero for poses that do not depend on them.
 ///
 /// # Errors
 /// As [`super::covariances`].
@@ -37,7 +39,7 @@ pub(super) fn intrinsics_share(problem: &Problem, options: &Options) -> Result<V
 }
 
 impl System<'_> {
-    /// By pose: the step of its center c' = c − Rᵀ v for a step of the reduced system.
+    /// Displacement of each pose's center, c' = c − Rᵀ v, for a step of the reduced system.
     fn moved_centers(&self, step: &[f64]) -> Vec<Vector3<f64>> {
         let moved = |(pose, block): (&super::PoseBlock, &u32)| {
             if *block == NONE {
@@ -52,7 +54,7 @@ impl System<'_> {
     }
 }
 
-/// Subtracts the infinitesimal similarity that explains most of some steps of centers.
+/// Subtracts the least-squares infinitesimal similarity from displacements of centers.
 fn subtract_similarity(centers: &[Point3<f64>], steps: &mut [Vector3<f64>]) {
     let count = centers.len().max(1) as f64;
     let middle = centroid(centers);
@@ -69,7 +71,7 @@ fn subtract_similarity(centers: &[Point3<f64>], steps: &mut [Vector3<f64>]) {
             (0..4).for_each(|c| normal[(r, c)] += basis[r].dot(&basis[c]));
         }
     }
-    // A straight path leaves the turn about itself open: the pseudoinverse takes none.
+    // The rotation about a straight trajectory is undetermined: the pseudoinverse sets it to zero.
     let tolerance = 1e-9 * normal.trace();
     let Ok(inverse) = normal.pseudo_inverse(tolerance) else { return };
     let found = inverse * right;

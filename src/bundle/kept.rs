@@ -1,9 +1,9 @@
-//! Parts of a linearization that are kept for the step of the points, where memory allows.
+//! Parts of a linearization cached for the step of the points, if memory allows.
 //!
-//! The step of a point needs its residuals' derivatives by the views, its elimination and its normal equations once
-//! more ([`super::trial`]). Of a small problem they are kept, one piece after the other in flat lists: reading 170
-//! bytes an observation takes less time than working them out. A large problem would need more memory for them than
-//! for all else, so that they are worked out again. The numbers are the same, bit for bit.
+//! The step of a point reuses the derivatives of its residuals by the views, its elimination and its normal equations
+//! ([`super::trial`]). For a small problem they are cached, piece by piece, in flat lists: reading 170 bytes per
+//! observation takes less time than recomputing them. For a large problem the cache would need more memory than
+//! everything else, so they are recomputed. The numbers are the same, bit for bit.
 
 use super::layout::Layout;
 use super::one_point::{Eliminated, OnePoint};
@@ -13,10 +13,10 @@ use super::residual::Residual;
 use super::simd::Fused;
 use super::state::State;
 
-/// Bytes that may be kept: some 350,000 observations, a map of 300 to 400 frames.
+/// Memory limit of the cache, bytes: some 350,000 observations, a map of 300 to 400 frames.
 pub(super) const KEPT_BYTES: usize = 64 << 20;
 
-/// Data of the points of one piece, in their order.
+/// Cached data of the points of one piece, in their order.
 #[derive(Default)]
 pub(super) struct Kept<const D: usize> {
     residuals: Vec<Residual<D>>,
@@ -25,14 +25,14 @@ pub(super) struct Kept<const D: usize> {
 }
 
 impl<const D: usize> Kept<D> {
-    /// Bytes that it takes to keep all points.
+    /// Memory needed to cache all points, bytes.
     pub fn bytes(layout: &Layout) -> usize {
         layout.num_obs() * size_of::<Residual<D>>()
             + layout.slots.len() * size_of::<[[f64; 6]; 3]>()
             + layout.points.len() * size_of::<PointTerms>()
     }
 
-    /// Forgets everything and makes room for a piece.
+    /// Clears the cache and reserves memory for a piece.
     pub fn begin(&mut self, piece: &Piece) {
         self.residuals.clear();
         self.slots.clear();
@@ -42,7 +42,7 @@ impl<const D: usize> Kept<D> {
         self.terms.reserve_exact(piece.points.len());
     }
 
-    /// Keeps the piece's next point.
+    /// Appends the next point of the piece.
     #[inline(always)]
     pub fn push(&mut self, one: Eliminated<D>) {
         self.residuals.extend_from_slice(one.residuals);
@@ -61,20 +61,20 @@ impl<const D: usize> Kept<D> {
     }
 }
 
-/// Where the step of the points has it from.
+/// Source of the data for the step of the points.
 pub(super) enum Source<'a, const D: usize> {
-    /// From the linearisation.
+    /// Cached by the linearization.
     Kept(&'a Kept<D>),
-    /// Each point is worked out again.
-    Anew(Box<OnePoint<D>>),
+    /// Recomputed for each point.
+    Recomputed(Box<OnePoint<D>>),
 }
 
 impl<'a, const D: usize> Source<'a, D> {
     pub fn new(layout: &Layout, piece: &Piece, kept: Option<&'a Kept<D>>) -> Self {
-        kept.map_or_else(|| Self::Anew(Box::new(OnePoint::new(layout, piece.points.clone()))), Self::Kept)
+        kept.map_or_else(|| Self::Recomputed(Box::new(OnePoint::new(layout, piece.points.clone()))), Self::Kept)
     }
 
-    /// A point of the piece, as it was at the state and with the damping of the linearisation.
+    /// Data of a point of the piece, at the state and with the damping of the linearization.
     #[inline(always)]
     pub fn point<F: Fused>(
         &mut self,
@@ -86,7 +86,7 @@ impl<'a, const D: usize> Source<'a, D> {
     ) -> Eliminated<'_, D> {
         match self {
             Self::Kept(kept) => kept.point(pass.layout, piece, point),
-            Self::Anew(one) => {
+            Self::Recomputed(one) => {
                 one.work_out::<F>(pass, from, point, damping);
                 one.eliminated(pass.layout, point)
             }
@@ -109,7 +109,7 @@ mod tests {
 
     const DAMPING: f64 = 1e-3;
 
-    /// A noisy world in several pieces, with a point that is held and one that is known.
+    /// A noisy world in several pieces, with a constant point and a point with a prior.
     fn problem(camera_per_image: bool) -> Problem {
         let options = scene::Options { camera_per_image, num_images: 20, num_points: 3000, ..Default::default() };
         let mut start = static_scene(&options);
@@ -122,7 +122,7 @@ mod tests {
         problem
     }
 
-    /// The second of two steps of the points, with so many bytes to keep things in.
+    /// The second of two steps of the points, with a cache of at most `most_bytes`.
     fn second_step(problem: &Problem, most_bytes: usize, parallel: bool) -> (Trial, Vec<[f64; 3]>) {
         let options = Options { loss: RobustLoss::Cauchy { scale: 2.0 }, ..Options::default() };
         let layout = Layout::new(problem, &options, parallel);

@@ -1,8 +1,8 @@
-//! Where everything lies: observations sorted by point, parameters grouped in blocks of the reduced system.
+//! Memory layout: observations sorted by point, parameters grouped in blocks of the reduced system.
 //!
-//! A *view block* holds the six freedoms of a free pose and, where a camera serves one pose only, that camera's free
-//! intrinsics. A camera that serves several poses is a *shared camera* with a block of its own in the border of the
-//! reduced system. All view blocks have the same size; freedoms that a block does not have are masked.
+//! A *view block* contains the six degrees of freedom of a free pose and, if a camera belongs to one pose only, that
+//! camera's free intrinsics. A camera of several poses is a *shared camera* with a separate block in the border of the
+//! reduced system. All view blocks have the same size; unused degrees of freedom are masked.
 
 use super::options::{Behind, Gauge, Options};
 use super::parallel::in_order;
@@ -12,11 +12,11 @@ use crate::camera::NUM_INTRINSICS;
 
 /// Marks an absent index.
 pub(super) const NONE: u32 = u32::MAX;
-/// A depth below this part of the coordinates that it is the difference of is noise, and so is the projection.
+/// Minimum depth relative to the coordinates it is the difference of: below it, depth and projection are noise.
 const SMALLEST_DEPTH: f64 = 1e-9;
-/// Observations that one task looks at.
+/// Observations checked per task.
 const CHUNK: usize = 8192;
-/// Freedoms of a pose.
+/// Degrees of freedom of a pose.
 pub(super) const POSE_DIM: usize = 6;
 
 /// Free intrinsics of a camera as columns of a Jacobian.
@@ -24,9 +24,9 @@ pub(super) const POSE_DIM: usize = 6;
 pub(super) struct Columns {
     /// Number of parameters.
     pub len: usize,
-    /// Which of fx, fy, cx, cy, k1, k2 each one is.
+    /// Index of each parameter among fx, fy, cx, cy, k1, k2.
     pub source: [usize; NUM_INTRINSICS],
-    /// With one focal length, fy / fx; else zero.
+    /// fy / fx for a single focal length; otherwise zero.
     pub aspect: f64,
 }
 
@@ -52,11 +52,11 @@ pub(super) enum IntrinsicsUse {
     Fixed,
     /// In the view block of the only pose that uses them.
     Fused,
-    /// In the border, at this place.
+    /// In the border, at this index.
     Shared(u32),
 }
 
-/// All priors on one point together: a place, and the sum of their weights 1/σ².
+/// Combined priors on one point: a position, and the sum of their weights 1/σ².
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct KnownPoint {
     position: [f64; 3],
@@ -73,7 +73,7 @@ impl KnownPoint {
         self.weight = total;
     }
 
-    /// Offset of a position from the known one.
+    /// Offset of a position from the prior's.
     pub fn offset(&self, position: &[f64; 3]) -> [f64; 3] {
         std::array::from_fn(|k| position[k] - self.position[k])
     }
@@ -91,25 +91,25 @@ pub(super) struct Layout {
     pub points: Vec<u32>,
     /// First observation of each of these, and the end of the last.
     pub point_start: Vec<u32>,
-    /// True for each point that is held.
+    /// True for each constant point.
     pub point_fixed: Vec<bool>,
     /// Prior of each point; empty if no point has one.
     pub point_priors: Vec<KnownPoint>,
-    /// Per observation: its index in the problem. What was measured is not held twice.
+    /// Per observation: its index in the problem. Measurements are not copied.
     pub obs: Vec<u32>,
     /// Per observation: view block of its pose, or [`NONE`].
     pub obs_block: Vec<u32>,
     /// Per observation: its shared camera in [`Layout::slots`], or [`NONE`].
     pub obs_slot: Vec<u32>,
-    /// First slot of each point, and the end of the last. A slot is a pair of a point and a shared camera that sees it.
+    /// First slot of each point, and the end of the last. A slot is a pair of a point and a shared camera observing it.
     pub slot_start: Vec<u32>,
     /// Shared camera of each slot.
     pub slots: Vec<u32>,
-    /// Pose of each view block: ascending, those that tie far views last ([`super::ties`]).
+    /// Pose of each view block: ascending, anchors last ([`super::ties`]).
     pub pose_of_block: Vec<u32>,
     /// View block of each pose, or [`NONE`].
     pub block_of_pose: Vec<u32>,
-    /// Which freedoms of each block move: the pose's six, then the intrinsics.
+    /// Free pose parameters of each block.
     pub pose_mask: Vec<[bool; POSE_DIM]>,
     /// Free intrinsics of each camera.
     pub columns: Vec<Columns>,
@@ -117,9 +117,9 @@ pub(super) struct Layout {
     pub intrinsics_use: Vec<IntrinsicsUse>,
     /// Index in the problem of each shared camera.
     pub shared: Vec<u32>,
-    /// Observations left out.
+    /// Number of ignored observations.
     pub num_ignored: usize,
-    /// Held pose and the pose to which it keeps its distance.
+    /// Fixed pose, and the pose whose distance from it is fixed.
     pub scale_pair: Option<(usize, usize)>,
 }
 
@@ -148,18 +148,18 @@ impl Layout {
         self.pose_of_block.len()
     }
 
-    /// Observations of a point, by its place in [`Layout::points`].
+    /// Observations of a point, by its index in [`Layout::points`].
     pub fn obs_of_point(&self, point: usize) -> std::ops::Range<usize> {
         self.point_start[point] as usize..self.point_start[point + 1] as usize
     }
 
-    /// View blocks of a point's observations, ascending, without observations that have none.
+    /// View blocks of a point's observations, ascending; observations without a view block are omitted.
     pub fn blocks_of_point(&self, point: usize) -> &[u32] {
         let blocks = &self.obs_block[self.obs_of_point(point)];
         &blocks[..blocks.partition_point(|block| *block != NONE)]
     }
 
-    /// The first view block that sees a common point with each view block, or that block itself.
+    /// Per view block: the first view block that observes a common point, or the block itself.
     pub fn first_rows(&self) -> Vec<u32> {
         let mut first_rows: Vec<u32> = (0..self.num_blocks() as u32).collect();
         for point in 0..self.points.len() {
@@ -172,7 +172,7 @@ impl Layout {
         first_rows
     }
 
-    /// View block in which a camera's intrinsics are that serve one pose only.
+    /// View block containing the intrinsics of a camera that belongs to one pose only.
     pub fn block_of_camera(&self, problem: &Problem, camera: usize) -> Option<usize> {
         self.pose_of_block.iter().position(|pose| problem.poses[*pose as usize].camera == camera)
     }
@@ -182,7 +182,7 @@ impl Layout {
         self.slot_start[point] as usize..self.slot_start[point + 1] as usize
     }
 
-    /// Largest number of freedoms in a view block.
+    /// Largest number of degrees of freedom in a view block.
     pub fn largest_block(&self) -> usize {
         let fused = self.columns.iter().zip(&self.intrinsics_use).filter(|(_, usage)| **usage == IntrinsicsUse::Fused);
         POSE_DIM + fused.map(|(columns, _)| columns.len).max().unwrap_or(0)
@@ -229,8 +229,9 @@ impl Layout {
         Self { pose_of_block, block_of_pose, pose_mask, columns, intrinsics_use, shared, ..Self::default() }
     }
 
-    /// By point, and within a point by block, observations without a block last. Points come in the order of the first
-    /// block that sees them: what one block needs then lies close together in memory.
+    /// Sorts observations by point, and within a point by block, observations without a block last.
+    ///
+    /// Points are ordered by the first block observing them, so that the data of one block are close in memory.
     fn sort_observations(&mut self, problem: &Problem, used: Vec<u32>) {
         let num_poses = problem.poses.len();
         let rank = |o: u32| {
@@ -312,7 +313,7 @@ pub(super) fn counting_sort(
     (sorted, start)
 }
 
-/// Observations whose projection means something and, if asked for, lies in front of the camera.
+/// Observations with a well-defined projection and, if required, a point in front of the camera.
 fn usable_observations(problem: &Problem, behind: Behind, parallel: bool) -> Vec<u32> {
     let usable = |o: &super::Observation| {
         let pose = &problem.poses[o.pose as usize];
@@ -341,13 +342,13 @@ fn observed_poses(problem: &Problem, used: &[u32]) -> Vec<bool> {
     observed
 }
 
-/// Parameters that [`Gauge::Auto`] holds.
+/// Parameters fixed by [`Gauge::Auto`].
 struct GaugeChoice {
     held_pose: Option<usize>,
     scale_pair: Option<(usize, usize)>,
-    /// Pose and axis of its translation that does not move.
+    /// Pose, and the fixed axis of its translation.
     held_axis: Option<(usize, usize)>,
-    /// True if no pose turns.
+    /// True if all rotations are fixed.
     hold_rotations: bool,
 }
 

@@ -1,4 +1,4 @@
-//! The iterations: damping, acceptance, termination (eqs. 12–13).
+//! Levenberg–Marquardt iterations: damping, acceptance, termination (eqs. 12–13).
 
 use std::time::Instant;
 
@@ -16,15 +16,15 @@ use super::state::State;
 use super::summary::{Summary, Termination};
 use super::trial::{Trial, cost, count_behind, try_step};
 
-/// The damping is never smaller: a gauge that is left free keeps the system singular without it.
+/// Minimum damping: with a free gauge the system is singular without it.
 const SMALLEST_DAMPING: f64 = 1e-16;
-/// With so much damping no step can be determined from none.
+/// Maximum damping: beyond it a step is indistinguishable from zero.
 const LARGEST_DAMPING: f64 = 1e32;
 
 /// Adjusts a problem in place.
 ///
-/// On return the free blocks hold the best state seen, the held ones are bit for bit as before. Poses, points and
-/// cameras that no used observation refers to stay as they are.
+/// On return the free blocks contain the best state found; constant blocks are unchanged, bit for bit. Poses, points
+/// and cameras that no used observation refers to are unchanged.
 ///
 /// # Errors
 /// [`BundleError`] for indices, values and options out of range; the problem is then unchanged. A problem that cannot
@@ -35,11 +35,11 @@ pub fn adjust(problem: &mut Problem, options: &Options) -> Result<Summary, Bundl
     with_threads(options.threads, |parallel| dispatch(problem, options, parallel))
 }
 
-/// Runs with so many threads; the argument tells whether there is more than one.
+/// Runs `work` with a number of threads; its argument is true if there is more than one.
 pub(super) fn with_threads<T: Send>(threads: usize, work: impl FnOnce(bool) -> T + Send) -> Result<T, BundleError> {
     match threads {
         1 => Ok(work(false)),
-        // In the scope everything is begun by one and the same thread of the pool, which has its data at hand.
+        // Within the scope one thread of the pool starts all tasks, and has their data in its caches.
         0 => Ok(rayon::scope(|_| work(rayon::current_num_threads() > 1))),
         n if n == rayon::current_num_threads() => Ok(rayon::scope(|_| work(true))),
         n => {
@@ -53,10 +53,10 @@ pub(super) fn with_threads<T: Send>(threads: usize, work: impl FnOnce(bool) -> T
 fn dispatch(problem: &mut Problem, options: &Options, parallel: bool) -> Summary {
     let start = Instant::now();
     let layout = Layout::new(problem, options, parallel);
-    // They are read while the rest is written.
+    // Taken out of the problem: observations are read while the parameters are written.
     let observations = std::mem::take(&mut problem.observations);
     let pass = Pass { layout: &layout, observations: &observations, loss: options.loss, parallel };
-    // One compiled copy for each of the common sizes: poses alone, with f k1 k2, with all intrinsics.
+    // One compiled copy for each common block size: poses only, with f k1 k2, with all intrinsics.
     let mut summary = match layout.largest_block() {
         ..=6 => Run::<6>::new(problem, options, pass).minimize(start),
         7..=9 => Run::<9>::new(problem, options, pass).minimize(start),
@@ -90,7 +90,7 @@ struct Run<'a, const D: usize> {
     reduced: Reduced<D>,
     solver: Solver,
     step: Vec<f64>,
-    /// Length of all parameters taken as one vector.
+    /// Norm of the vector of all parameters.
     norm: f64,
     damping: f64,
     /// Factor by which the next rejection raises the damping.
@@ -162,8 +162,9 @@ impl<'a, const D: usize> Run<'a, D> {
         cost + priors::cost(self.problem, &self.state)
     }
 
-    /// One step from the current linearisation; moves the state and lowers `cost` if it is accepted. Returns why no
-    /// other follows, if none does.
+    /// Tries one step from the current linearization; if accepted, updates the state and lowers `cost`.
+    ///
+    /// Returns the reason for termination if this is the last step.
     fn iterate(&mut self, cost: &mut f64) -> Option<Termination> {
         if !self.solve() {
             return self.reject();
@@ -211,7 +212,7 @@ impl<'a, const D: usize> Run<'a, D> {
         solved && self.step.iter().all(|v| v.is_finite())
     }
 
-    /// Moves the trial state; returns the sums over cameras and points.
+    /// Updates the trial state; returns the sums over cameras and points.
     fn try_step(&mut self) -> Trial {
         let in_range = self.trial.move_cameras(&self.state, self.problem, self.layout, &self.step, D);
         let mut total = try_step(&self.lin, &self.pass, &self.step, self.damping, &self.state, &mut self.trial);

@@ -1,10 +1,10 @@
-//! Linearisation: residuals and Jacobians, elimination of the points, and their sums in the reduced system.
+//! Linearization: residuals and Jacobians, elimination of the points, and accumulation of the reduced system.
 //!
-//! The points are cut in a few pieces. A thread goes through a piece point by point from the projection to the reduced
-//! system, while the point's Jacobians are still in the nearest cache. What the step of the points ([`super::trial`])
-//! needs of them is kept where it fits ([`super::kept`]), else forgotten and worked out again: then an observation
-//! takes no memory beyond its index. The cut depends on the problem alone and sums are taken in the order of the
-//! pieces, so that nothing depends on the number of threads.
+//! The points are split into a few pieces. A thread processes a piece point by point, from the projection to the
+//! reduced system, while the point's Jacobians are still in the nearest cache. The data needed for the step of the
+//! points ([`super::trial`]) are cached if they fit ([`super::kept`]), otherwise recomputed: then an observation takes
+//! no memory beyond its index. The split depends on the problem only, and sums are taken in the order of the pieces, so
+//! the result does not depend on the number of threads.
 
 use super::accumulate::Sums;
 use super::kept::Kept;
@@ -17,7 +17,7 @@ use super::schur::Reduced;
 use super::simd::{Fused, Task, wide};
 use super::state::State;
 
-/// Where a thread works on one piece after the other.
+/// Workspace of a thread, reused for one piece after the other.
 struct Desk<const D: usize> {
     point: OnePoint<D>,
     sums: Sums<D>,
@@ -25,9 +25,9 @@ struct Desk<const D: usize> {
 
 /// The passes over all points.
 pub(super) struct Linearization<const D: usize> {
-    /// In order.
+    /// Pieces in order.
     pub pieces: Vec<Piece>,
-    /// Kept data of each piece.
+    /// Cached data of each piece.
     pub kept: Vec<Option<Kept<D>>>,
     desks: Vec<Desk<D>>,
     /// The largest entry of the gradients of points that move.
@@ -38,7 +38,7 @@ impl<const D: usize> Linearization<D> {
     pub fn new(pass: &Pass, pattern: &Pattern) -> Self {
         let pieces = pieces(pass.layout, pattern);
         let count = if pass.parallel { pieces.len().clamp(1, MAX_DESKS) } else { 1 };
-        // Made by the threads that will use them: memory belongs to who touches it first.
+        // Allocated by the threads that use them: memory is local to the first thread that touches it.
         let desk =
             |_| Desk { sums: Sums::new(pass.layout), point: OnePoint::new(pass.layout, 0..pass.layout.points.len()) };
         let desks = in_order(pass.parallel, (0..count).collect(), desk);
@@ -46,15 +46,16 @@ impl<const D: usize> Linearization<D> {
         Self { pieces, kept, desks, largest_point_gradient: 0.0 }
     }
 
-    /// Keeps from now on what the step of the points needs, if it takes at most so many bytes.
+    /// Enables the cache for the step of the points, if it takes at most `most_bytes`.
     pub fn keep_within(mut self, layout: &Layout, most_bytes: usize) -> Self {
         let fits = Kept::<D>::bytes(layout) <= most_bytes;
         self.kept = self.pieces.iter().map(|_| fits.then(Kept::default)).collect();
         self
     }
 
-    /// Residuals, Jacobians and the points' normal equations at a state (eqs. 1–6), their elimination with damping λ,
-    /// and the sums in the reduced system. Returns the cost. Another damping is another evaluation.
+    /// Linearizes at a state (eqs. 1–6), eliminates the points with damping λ, and fills the reduced system.
+    ///
+    /// Returns the cost. Another damping requires another evaluation.
     pub fn evaluate(&mut self, pass: &Pass, state: &State, damping: f64, reduced: &mut Reduced<D>) -> f64 {
         reduced.clear();
         self.largest_point_gradient = 0.0;

@@ -1,4 +1,4 @@
-//! Bundle adjustment: camera poses, intrinsics and points that minimise the reprojection error.
+//! Bundle adjustment: camera poses, intrinsics and points that minimize the reprojection error.
 //!
 //! ```text
 //! min ½ Σ ρ( ‖π(θ_c, T_i X_j) − u_ij‖² / σ_ij² )  +  priors
@@ -8,9 +8,9 @@
 //! Every step eliminates the points (Schur complement), or the views where points are few, and solves the rest by dense
 //! or sparse Cholesky. `docs/maths/bundle.md` derives everything; its equation numbers are cited in the code.
 //!
-//! The same problem gives the same bytes at every number of threads, unless the reduced system is a large dense one,
-//! which several threads factorise: work is cut in parts that do not depend on the number of threads, and sums are
-//! taken in a fixed order.
+//! The same problem gives the same bytes at every number of threads, because work is split independently of the number
+//! of threads and sums are taken in a fixed order. The exception is a large dense reduced system, which several threads
+//! factorize.
 //!
 //! Entry points: [`adjust`], [`covariances`], [`center_deviations`].
 //!

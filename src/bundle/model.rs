@@ -1,4 +1,4 @@
-//! Problems from whole reconstructions, and back.
+//! Conversion of reconstructions to problems and back.
 
 use std::collections::BTreeMap;
 
@@ -7,8 +7,9 @@ use crate::camera::Camera;
 use crate::scene::{CameraId, Reconstruction};
 
 impl Problem {
-    /// Everything in a reconstruction: all poses and points free, intrinsics as `camera_block` says. Blocks are in the
-    /// order of their ids, so that [`Problem::store`] finds them again; observations without a point are left out.
+    /// Problem of a whole reconstruction: all poses and points free, intrinsics as given by `camera_block`.
+    ///
+    /// Blocks are in the order of their ids, as [`Problem::store`] requires; observations without a point are omitted.
     pub fn from_reconstruction(
         model: &Reconstruction,
         camera_block: impl Fn(CameraId, &Camera) -> CameraBlock,
@@ -16,7 +17,7 @@ impl Problem {
         Self::from_images(model, camera_block, 1)
     }
 
-    /// The same of one image in so many, with all points.
+    /// Problem of every n-th image only, with all points.
     pub(super) fn from_images(
         model: &Reconstruction,
         camera_block: impl Fn(CameraId, &Camera) -> CameraBlock,

@@ -9,13 +9,13 @@ use super::residual::{Derivatives, Residual, linearize};
 use super::simd::Fused;
 use super::state::State;
 
-/// Data of the point that is being processed: residuals, Jacobians, elimination.
+/// Data of the point being processed: residuals, Jacobians, elimination.
 pub(super) struct OnePoint<const D: usize> {
     /// First observation of the point.
     pub first_obs: usize,
     /// Its first slot.
     pub first_slot: usize,
-    /// By its observations; behind these are those of other points.
+    /// One per observation of the point, followed by stale entries of other points.
     pub residuals: Vec<Residual<D>>,
     /// Jₚ of its observations.
     d_points: Vec<[[f64; 3]; 2]>,
@@ -27,10 +27,10 @@ pub(super) struct OnePoint<const D: usize> {
     pub terms: PointTerms,
 }
 
-/// Data of one point that its step needs.
+/// Data of one point needed for its step.
 #[derive(Clone, Copy)]
 pub(super) struct Eliminated<'a, const D: usize> {
-    /// Of its observations.
+    /// Residuals of its observations.
     pub residuals: &'a [Residual<D>],
     /// L⁻¹ Jₚᵀ J_c of its slots (eq. 9).
     pub slots: &'a [[[f64; 6]; 3]],
@@ -39,7 +39,7 @@ pub(super) struct Eliminated<'a, const D: usize> {
 }
 
 impl<const D: usize> OnePoint<D> {
-    /// With room for each of some points.
+    /// Buffers large enough for each of a range of points.
     pub fn new(layout: &Layout, points: Range<usize>) -> Self {
         let none = Residual { value: [0.0; 2], d_view: [[0.0; D]; 2], eliminated: [[0.0; 3]; 2] };
         let longest = points.clone().map(|point| layout.obs_of_point(point).len()).max().unwrap_or(0);
@@ -55,7 +55,7 @@ impl<const D: usize> OnePoint<D> {
         }
     }
 
-    /// Works out everything of a point at a state; returns Σ ρ.
+    /// Linearizes and eliminates a point at a state; returns Σ ρ.
     #[inline(always)]
     pub fn work_out<F: Fused>(&mut self, pass: &Pass, state: &State, point: usize, damping: f64) -> f64 {
         self.first_obs = pass.layout.obs_of_point(point).start;
@@ -65,7 +65,7 @@ impl<const D: usize> OnePoint<D> {
         cost
     }
 
-    /// Data that the step of the current point needs.
+    /// Data needed for the step of the current point.
     #[inline(always)]
     pub fn eliminated(&self, layout: &Layout, point: usize) -> Eliminated<'_, D> {
         Eliminated {
@@ -123,7 +123,7 @@ impl<const D: usize> OnePoint<D> {
     }
 }
 
-/// Freedoms that are held get zero columns.
+/// Zeroes the columns of constant degrees of freedom.
 #[inline(always)]
 fn hold_masked<const D: usize>(layout: &Layout, block: u32, d_view: &mut [[f64; D]; 2]) {
     if block == NONE {

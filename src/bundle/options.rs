@@ -17,24 +17,24 @@ pub enum LinearSolver {
     Sparse,
 }
 
-/// Treatment of the seven gauge freedoms (rotation, translation, scale), which images do not determine.
+/// Treatment of the seven gauge degrees of freedom (rotation, translation, scale), which images do not determine.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Gauge {
-    /// Hold just enough: where no pose is fixed the first one is held, and where fewer than two poses and no points are
-    /// fixed the distance between the centres of the held pose and of the one farthest from it is kept.
+    /// Minimal constraints: if no pose is fixed, the first one is held. If fewer than two poses and no points are
+    /// fixed, the distance between the centers of the held pose and of the pose farthest from it is held, too.
     #[default]
     Auto,
-    /// Hold nothing beyond the blocks that are marked as fixed; the damping keeps the system regular (as Ceres does).
+    /// No constraints beyond the blocks marked as fixed; the damping keeps the system regular (as in Ceres).
     Free,
 }
 
 /// Treatment of an observation whose point lies behind its camera at the start.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Behind {
-    /// It is left out and counted in [`super::Summary::num_ignored`].
+    /// Ignored, and counted in [`super::Summary::num_ignored`].
     #[default]
     Ignore,
-    /// It takes part by its projection through the centre (as in the BAL benchmark).
+    /// Used, with its projection through the center (as in the BAL benchmark).
     Project,
 }
 
@@ -43,15 +43,15 @@ pub enum Behind {
 pub struct Options {
     /// Robust loss on the residual's length, in units of the observations' standard deviation.
     pub loss: RobustLoss,
-    /// Most steps tried, rejected ones included.
+    /// Maximum number of steps tried, rejected ones included.
     pub max_iterations: usize,
-    /// Stop when a step changes the cost by less than this part of it.
+    /// Stop when a step changes the cost by less than this fraction of it.
     pub function_tolerance: f64,
     /// Stop when the largest entry of the gradient is below this (cost per radian, unit of length, or intrinsic).
     pub gradient_tolerance: f64,
-    /// Stop when a step is shorter than this part of the length of all parameters.
+    /// Stop when a step is shorter than this fraction of the norm of all parameters.
     pub parameter_tolerance: f64,
-    /// Damping λ at the start, relative to the diagonal of the normal equations. Small trusts the first step.
+    /// Initial damping λ, relative to the diagonal of the normal equations. A small value trusts the first step.
     pub initial_damping: f64,
     /// Threads; 0 uses the rayon pool of the caller.
     pub threads: usize,
@@ -59,7 +59,7 @@ pub struct Options {
     pub linear_solver: LinearSolver,
     /// Choice of the gauge.
     pub gauge: Gauge,
-    /// True if no camera turns.
+    /// True to fix all camera rotations.
     pub hold_rotations: bool,
     /// Treatment of points behind a camera at the start.
     pub behind: Behind,
@@ -84,7 +84,7 @@ impl Default for Options {
 }
 
 impl Options {
-    /// Rejects values that make no sense.
+    /// Rejects invalid values.
     ///
     /// # Errors
     /// [`BundleError::Option`] names the field.

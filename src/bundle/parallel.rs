@@ -1,9 +1,9 @@
-//! Work on several threads with an order that does not depend on them.
+//! Parallel map with an order of results that does not depend on the threads.
 
-/// The results of `work` on every item, in the order of the items.
+/// Results of `work` on every item, in the order of the items.
 ///
-/// On several threads the items are halved again and again: in a loop of many passes over the same items a thread tends
-/// to get the same ones each time, whose data it still has in its caches.
+/// On several threads the items are halved recursively: in a loop of many passes over the same items, a thread tends to
+/// get the same ones each time, with their data still in its caches.
 pub(super) fn in_order<T: Send, R: Send>(parallel: bool, items: Vec<T>, work: impl Fn(T) -> R + Sync) -> Vec<R> {
     if !parallel || items.len() < 2 {
         return items.into_iter().map(work).collect();

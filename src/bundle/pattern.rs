@@ -1,29 +1,28 @@
-//! Which pairs of views have a block in the reduced system.
+//! Block sparsity pattern of the reduced system.
 
 use super::layout::{Layout, NONE, counting_sort};
 
-/// With at most this many views every pair gets a block, and no pattern has to be found.
+/// Number of views up to which every pair gets a block, and no pattern is computed.
 const ALL_PAIRS_LIMIT: usize = 64;
 
-/// Where at least this part of the envelope is taken by blocks, the views lie in a band in their own order, and no
-/// other order makes less fill.
+/// Minimum fraction of the envelope occupied by blocks for a band in the given order, which no other order improves.
 const BAND_FILL: f64 = 0.5;
-/// The same where views that tie far ones are a border behind the band, of which a part stays empty.
+/// The same if anchors form a border behind the band: part of that border is empty.
 const BORDERED_FILL: f64 = 0.25;
 
-/// Which pairs of views have a block.
+/// Pairs of views that have a block.
 pub(super) struct Pattern {
     /// First block of each panel, and the end of the last.
     pub start: Vec<usize>,
-    /// Row (first view of the pair) of every block, ascending within a panel; the last of a panel is its own view.
+    /// Row (first view of the pair) of every block, ascending within a panel; the diagonal block is last.
     pub rows: Vec<u32>,
     /// Smallest row of each panel.
     first_row: Vec<u32>,
     /// Start of each panel's part of `place`.
     place_start: Vec<usize>,
-    /// Place within its panel of the block of each row from `first_row`, or [`NONE`].
+    /// Index within its panel of the block of each row from `first_row`, or [`NONE`].
     place: Vec<u32>,
-    /// The part of the envelope that blocks take where the views lie in a band.
+    /// Minimum fraction of the envelope occupied by blocks if the views form a band.
     least_fill: f64,
     /// True if there are no pairs of different views, whatever the points are.
     of_single_views: bool,
@@ -34,7 +33,7 @@ impl Pattern {
         if layout.num_blocks() <= ALL_PAIRS_LIMIT { Self::all_pairs(layout.num_blocks()) } else { Self::seen(layout) }
     }
 
-    /// Every view with itself alone, for a system that is not formed.
+    /// Diagonal blocks only, for a system that is not formed.
     pub fn of_single_views(n: usize) -> Self {
         Self {
             start: (0..=n).collect(),
@@ -77,13 +76,13 @@ impl Pattern {
         pattern
     }
 
-    /// Marks the views of the points that view j sees.
+    /// Marks the views that observe the points of view j.
     fn mark_panel(&mut self, layout: &Layout, j: usize, points: &[u32]) {
         let first = self.first_row[j] as usize;
         let place = &mut self.place[self.place_start[j]..][..j + 1 - first];
         place[j - first] = 0;
         for point in points {
-            // Sorted by view, those without a block last.
+            // Sorted by view block, observations without one last.
             let views = &layout.obs_block[layout.obs_of_point(*point as usize)];
             for i in views.iter().take_while(|i| **i as usize <= j) {
                 place[*i as usize - first] = 0;
@@ -97,7 +96,7 @@ impl Pattern {
         self.start.push(self.rows.len());
     }
 
-    /// The first view that sees a common point with view j, or j.
+    /// The first view that observes a common point with view j, or j.
     pub fn first_row(&self, j: usize) -> usize {
         self.first_row[j] as usize
     }
@@ -107,7 +106,7 @@ impl Pattern {
         self.start[j]..self.start[j + 1]
     }
 
-    /// Place of block (i, j), i ≤ j, if there is one.
+    /// Index of block (i, j), i ≤ j, if there is one.
     pub fn find(&self, i: usize, j: usize) -> Option<usize> {
         let row = i.checked_sub(self.first_row[j] as usize)?;
         let place = self.place[self.place_start[j] + row];
@@ -129,12 +128,12 @@ impl Pattern {
         self.of_single_views
     }
 
-    /// Returns true if the views form a band in their own order, as those of a video do.
+    /// Returns true if the views form a band in the given order, as those of a video do.
     pub fn is_band(&self) -> bool {
         self.len() as f64 >= self.least_fill * self.envelope() as f64
     }
 
-    /// Place of block (i, j), i ≤ j, of two views that see a common point.
+    /// Index of block (i, j), i ≤ j, of two views that observe a common point.
     #[inline(always)]
     pub fn place(&self, i: usize, j: usize) -> usize {
         self.start[j] + self.place[self.place_start[j] + i - self.first_row[j] as usize] as usize

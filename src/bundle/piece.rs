@@ -1,4 +1,4 @@
-//! Pieces of the points, which threads process one by one, and what a pass over them reads.
+//! Pieces of the points, which threads process one by one, and the input of a pass over them.
 
 use std::ops::Range;
 
@@ -7,19 +7,18 @@ use super::pattern::Pattern;
 use super::problem::Observation;
 use crate::math::RobustLoss;
 
-/// Pieces that are worked on at a time at most, each with sums of its own.
+/// Maximum number of pieces processed at a time, each with separate sums.
 pub(super) const MAX_DESKS: usize = 8;
-/// There may be so many pieces more for every so many blocks of the reduced system: then the sums of those that are
-/// worked on at a time stay small.
+/// Blocks of the reduced system per additional [`MAX_DESKS`] pieces: keeps the sums of concurrent pieces small.
 const BLOCKS_PER_WAVE: usize = 1 << 17;
-/// Least work in a piece, in rank-2 updates of one block: less is not worth a task.
+/// Minimum work in a piece, in rank-2 updates of one block: less does not justify a task.
 const PART_WORK: usize = 15_000;
-/// Work that linearising one observation is worth, likewise.
+/// Work of linearizing one observation, in the same unit.
 const OBSERVATION_WORK: usize = 5;
-/// Rank-2 updates for which a piece may have one more block to clear and to add up.
+/// Minimum number of rank-2 updates per duplicated block, which must be cleared and added up.
 const WORK_PER_BLOCK: usize = 60;
 
-/// A run of points and what belongs to them.
+/// A run of consecutive points with their observations and slots.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Piece {
     pub points: Range<usize>,
@@ -27,8 +26,10 @@ pub(super) struct Piece {
     pub slots: Range<usize>,
 }
 
-/// Cuts the points in pieces of about the same work: as many as there can be without each losing too much by blocks of
-/// the reduced system that others have, too, and without these taking more memory than the system itself.
+/// Splits the points into pieces of about equal work.
+///
+/// Their number is limited by the cost of blocks of the reduced system that several pieces share, and by the memory of
+/// these duplicates, which must not exceed that of the system itself.
 pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
     let work: Vec<usize> = (0..layout.points.len())
         .scan(0, |sum, point| {
@@ -55,7 +56,7 @@ pub(super) fn pieces(layout: &Layout, pattern: &Pattern) -> Vec<Piece> {
     cut(layout, &work, 1)
 }
 
-/// At most `count` pieces; `work` is that of all points up to each.
+/// Splits into at most `count` pieces; `work` is the cumulative work of the points.
 fn cut(layout: &Layout, work: &[usize], count: usize) -> Vec<Piece> {
     let total = work.last().copied().unwrap_or(0);
     let mut first = 0;
@@ -72,7 +73,7 @@ fn cut(layout: &Layout, work: &[usize], count: usize) -> Vec<Piece> {
     out
 }
 
-/// Views that see the points of a piece, and those between.
+/// Range of views that observe the points of a piece.
 pub(super) fn reach(layout: &Layout, piece: &Piece) -> Range<usize> {
     let (mut first, mut end) = (usize::MAX, 0);
     for block in layout.obs_block[piece.obs.clone()].iter().filter(|block| **block != NONE) {
@@ -81,11 +82,11 @@ pub(super) fn reach(layout: &Layout, piece: &Piece) -> Range<usize> {
     if end == 0 { 0..0 } else { first..end }
 }
 
-/// Everything that the passes read.
+/// Read-only input of the passes.
 #[derive(Clone, Copy)]
 pub(super) struct Pass<'a> {
     pub layout: &'a Layout,
-    /// Those of the problem, in its order.
+    /// Observations in the order of the problem.
     pub observations: &'a [Observation],
     pub loss: RobustLoss,
     pub parallel: bool,

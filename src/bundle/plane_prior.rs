@@ -1,4 +1,4 @@
-//! The prior that a plane known in a camera's frame passes through a point of the world, and is level there (eq. 15).
+//! Prior on a pose: a plane known in the camera frame passes through a world point, and is level there (eq. 15).
 
 use nalgebra::{Matrix3, RowVector3, Vector3};
 
@@ -7,8 +7,7 @@ use super::problem::PlanePrior;
 use crate::math::Rigid3;
 
 impl PlanePrior {
-    /// (n · (R p + t) + h) / σ_d and n × R u / σ_t: by how many standard deviations a camera's pose contradicts
-    /// distance and tilt.
+    /// Residuals of distance and tilt in standard deviations: (n · (R p + t) + h) / σ_d and n × R u / σ_t.
     pub fn residual(&self, cam_from_world: &Rigid3) -> (f64, Vector3<f64>) {
         let distance = self.normal_in_cam.dot(&(*cam_from_world * self.point).coords) + self.camera_height;
         let tilt = self.normal_in_cam.cross(&(cam_from_world.rotation * self.up));

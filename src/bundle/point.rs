@@ -34,7 +34,7 @@ impl PointTerms {
         }
     }
 
-    /// Adds a prior on the point, where it is now.
+    /// Adds a prior on the point, at its current position.
     pub fn add_prior(&mut self, known: &KnownPoint, position: &[f64; 3]) {
         for cell in [0, 3, 5] {
             self.hessian[cell] += known.weight;
@@ -44,7 +44,7 @@ impl PointTerms {
         }
     }
 
-    /// Factorises V + λD; a point whose V is not positive definite is treated as one that does not move.
+    /// Factorizes V + λD; a point whose V is not positive definite is treated as one that does not move.
     #[inline(always)]
     pub fn eliminate(&mut self, fixed: bool, damping: f64) {
         self.factor = if fixed { [0.0; 6] } else { factor(&self.hessian, damping) };
@@ -83,7 +83,7 @@ impl PointTerms {
     }
 }
 
-/// A diagonal entry of the normal equations as the damping sees it (eq. 12).
+/// A diagonal entry of the normal equations, clamped for the damping (eq. 12).
 #[inline(always)]
 pub(super) fn damping_scale(diagonal: f64) -> f64 {
     diagonal.max(DIAGONAL_RANGE.0).min(DIAGONAL_RANGE.1)

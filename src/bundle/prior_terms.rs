@@ -1,10 +1,10 @@
 //! Terms of a prior in the normal equations.
 
-/// H and g of the priors on a block of at most 12 freedoms.
+/// H and g of a prior on at most six degrees of freedom of a block.
 pub(super) struct PriorTerms {
     /// View block, or shared camera.
     pub target: PriorTarget,
-    /// First freedom within it.
+    /// First degree of freedom within the block.
     pub offset: usize,
     /// JᵀJ, 6 × 6; unused rows are zero.
     pub hessian: [[f64; 6]; 6],
@@ -12,7 +12,7 @@ pub(super) struct PriorTerms {
     pub gradient: [f64; 6],
 }
 
-/// Where a prior's terms go.
+/// Block to which a prior's terms are added.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum PriorTarget {
     Block(usize),

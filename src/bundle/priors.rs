@@ -22,7 +22,7 @@ pub(super) fn cost(problem: &Problem, state: &State) -> f64 {
     0.5 * (intrinsics + planes)
 }
 
-/// Normal equations of all priors on blocks that move.
+/// Normal equations of all priors on free blocks.
 pub(super) fn terms(problem: &Problem, layout: &Layout, state: &State) -> Vec<PriorTerms> {
     let mut out = Vec::new();
     for prior in &problem.priors.planes {

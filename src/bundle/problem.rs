@@ -1,4 +1,4 @@
-//! Parameters that vary, parameters that are held, and observations.
+//! Free and constant parameters, and observations.
 
 use nalgebra::{Point2, Point3, Vector2, Vector3};
 use thiserror::Error;
@@ -7,40 +7,39 @@ use super::whitening::Whitening;
 use crate::camera::{Camera, NUM_INTRINSICS};
 use crate::math::{Rigid3, RobustLoss};
 
-/// Everything that [`super::adjust`] reads and writes.
+/// Bundle adjustment problem: input and output of [`super::adjust`].
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Problem {
     /// Sets of intrinsics; one may serve many poses.
     pub cameras: Vec<CameraBlock>,
-    /// One per image, in order of time for a video: neighbours in this list should see common points.
+    /// One per image, in order of time for a video: neighbors in this list should see common points.
     pub poses: Vec<PoseBlock>,
     /// Points of the scene.
     pub points: Vec<PointBlock>,
-    /// Image measurements, in any order.
+    /// Observations, in any order.
     pub observations: Vec<Observation>,
-    /// Other knowledge; empty by default.
+    /// Priors; empty by default.
     pub priors: Priors,
 }
 
-/// Intrinsics and which of them may change.
+/// Intrinsics, free or constant.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraBlock {
     /// The intrinsics.
     pub camera: Camera,
     /// True for each of fx, fy, cx, cy, k1, k2 (in this order) that is free.
     pub free: [bool; NUM_INTRINSICS],
-    /// One focal length: fx is free if `free[0]`, and fy follows with the ratio fy / fx that it has at the start;
-    /// `free[1]` is not looked at.
+    /// Single focal length: fx is free if `free[0]`, and the initial ratio fy / fx is kept; `free[1]` is ignored.
     pub tie_focal: bool,
 }
 
 impl CameraBlock {
-    /// Intrinsics that stay as they are.
+    /// Constant intrinsics.
     pub fn fixed(camera: Camera) -> Self {
         Self { camera, free: [false; NUM_INTRINSICS], tie_focal: true }
     }
 
-    /// One free focal length and free radial distortion; principal point and aspect stay.
+    /// Single free focal length and free radial distortion; principal point and aspect ratio are constant.
     pub fn free_focal_and_radial(camera: Camera) -> Self {
         Self { camera, free: [true, true, false, false, true, true], tie_focal: true }
     }
@@ -73,27 +72,27 @@ pub struct Observation {
     pub pose: u32,
     /// Index in [`Problem::points`].
     pub point: u32,
-    /// Pixels, first pixel centre at (0.5, 0.5).
+    /// Pixels, first pixel center at (0.5, 0.5).
     pub pixel: Point2<f64>,
-    /// Whitening of the position's error; the identity gives costs in squared pixels.
+    /// Whitening of the residual; the identity gives costs in squared pixels.
     pub whitening: Whitening,
 }
 
 impl Observation {
-    /// With a standard deviation of one pixel.
+    /// Observation with a standard deviation of one pixel.
     pub fn new(pose: u32, point: u32, pixel: Point2<f64>) -> Self {
         Self { pose, point, pixel, whitening: Whitening::IDENTITY }
     }
 }
 
-/// Knowledge that does not come from image positions, as independent Gaussians.
+/// Independent Gaussian priors on parameters.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Priors {
-    /// On intrinsics.
+    /// Priors on intrinsics.
     pub intrinsics: Vec<IntrinsicsPrior>,
-    /// On poses, by planes that are known in the cameras' frames.
+    /// Priors on poses, from planes known in the camera frames.
     pub planes: Vec<PlanePrior>,
-    /// On points that are observed.
+    /// Priors on observed points.
     pub points: Vec<PointPrior>,
 }
 
@@ -104,54 +103,53 @@ impl Priors {
     }
 }
 
-/// A plane that is known in the camera's frame, n · x + h = 0, passes near a point of the world and is near level
-/// there.
+/// Prior on a pose: a plane known in the camera frame, n · x + h = 0, passes near a world point and is nearly level.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PlanePrior {
     /// Index in [`Problem::poses`].
     pub pose: usize,
     /// n: the plane's unit normal in the camera's frame.
     pub normal_in_cam: Vector3<f64>,
-    /// h: how far the camera lies on the normal's side of the plane, world units.
+    /// h: signed distance of the camera from the plane, positive on the normal's side, world units.
     pub camera_height: f64,
     /// The point of the world through which the plane passes.
     pub point: Point3<f64>,
     /// The unit vector of the world that is the plane's normal.
     pub up: Vector3<f64>,
-    /// Standard deviation of the point's distance to the plane, world units; infinite leaves the distance out.
+    /// Standard deviation of the point's distance to the plane, world units; infinite disables the distance residual.
     pub sigma_distance: f64,
-    /// Standard deviation of the tilt about each axis in the plane, radians; infinite leaves the tilt out.
+    /// Standard deviation of the tilt about each axis in the plane, radians; infinite disables the tilt residual.
     pub sigma_tilt: f64,
     /// Robust loss on distance and tilt each, in standard deviations: some planes are wrong.
     pub loss: RobustLoss,
 }
 
-/// A point is near a known place.
+/// Prior on the position of a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PointPrior {
     /// Index in [`Problem::points`].
     pub point: usize,
-    /// The known place.
+    /// Prior position.
     pub position: Point3<f64>,
     /// Standard deviation of each coordinate, world units.
     pub sigma: f64,
 }
 
-/// Intrinsics are near known ones.
+/// Prior on intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct IntrinsicsPrior {
     /// Index in [`Problem::cameras`].
     pub camera: usize,
-    /// Known fx, fy, cx, cy, k1, k2.
+    /// Prior values of fx, fy, cx, cy, k1, k2.
     pub values: [f64; NUM_INTRINSICS],
-    /// Their standard deviations; an infinite one leaves that parameter out.
+    /// Their standard deviations; an infinite one disables the prior on that parameter.
     pub sigma: [f64; NUM_INTRINSICS],
 }
 
-/// Why a problem could not be adjusted.
+/// Reason for which a problem could not be adjusted.
 #[derive(Clone, Debug, Error, PartialEq)]
 pub enum BundleError {
-    /// An index points past its list.
+    /// An index is out of range.
     #[error("{what} {index}: {target} {value} does not exist, only {count} do")]
     Index {
         /// The block that holds the index.
@@ -184,12 +182,12 @@ pub enum BundleError {
     /// More blocks or observations than 32-bit indices count.
     #[error("{count} {what}: more than the adjuster can index")]
     TooLarge {
-        /// Which list.
+        /// Name of the list.
         what: &'static str,
         /// Its length.
         count: usize,
     },
-    /// The normal equations are singular where a covariance was asked for.
+    /// The normal equations are singular, so a covariance does not exist.
     #[error(
         "covariance undetermined: the normal equations are singular at parameter {pivot}; fix the gauge or remove \
          unobserved parameters"
@@ -198,7 +196,7 @@ pub enum BundleError {
         /// Index in the reduced system, with the points behind the cameras.
         pivot: usize,
     },
-    /// A covariance was asked for a block that is held or that nothing observes.
+    /// A covariance was requested for a constant or unobserved block.
     #[error("{what} {index}: no covariance, it is constant or unobserved")]
     NoCovariance {
         /// The list.
@@ -211,13 +209,13 @@ pub enum BundleError {
     Threads {
         /// Number of threads.
         threads: usize,
-        /// The system's words.
+        /// Message of the system.
         message: String,
     },
 }
 
 impl Problem {
-    /// Position at which an observation's point projects less the measured one, pixels.
+    /// Projected minus measured position of an observation, pixels.
     pub fn residual_px(&self, o: &Observation) -> Vector2<f64> {
         let pose = &self.poses[o.pose as usize];
         let point_in_cam = pose.cam_from_world * self.points[o.point as usize].position;
@@ -234,7 +232,7 @@ impl Problem {
         })
     }
 
-    /// Looks through all indices and values.
+    /// Checks all indices and values.
     ///
     /// # Errors
     /// [`BundleError::Index`], [`BundleError::Value`] or [`BundleError::TooLarge`] for the first fault found.

@@ -9,17 +9,17 @@ use super::state::View;
 use super::whitening::Whitening;
 use crate::math::RobustLoss;
 
-/// A weighted residual and its Jacobian (eq. 5) with respect to a view block of `D` freedoms.
+/// A weighted residual and its Jacobian (eq. 5) with respect to a view block of `D` degrees of freedom.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Residual<const D: usize> {
     pub value: [f64; 2],
-    /// Two rows: pose, then the intrinsics that sit in the view block.
+    /// Two rows: derivatives by the pose, then by the intrinsics of the view block.
     pub d_view: [[f64; D]; 2],
     /// Q = Jₚ L⁻ᵀ, two rows (eq. 9); filled by the elimination of the point.
     pub eliminated: [[f64; 3]; 2],
 }
 
-/// Derivatives that a linearization yields besides.
+/// Further derivatives of a linearization.
 pub(super) struct Derivatives<'a> {
     /// Jₚ, two rows.
     pub d_point: &'a mut [[f64; 3]; 2],
@@ -37,7 +37,7 @@ pub(super) fn point_in_cam(view: &View, point: &[f64; 3]) -> [f64; 3] {
     [row(0), row(1), row(2)]
 }
 
-/// The residual alone, whitened but not weighted by the loss.
+/// Residual without derivatives, whitened but not weighted by the loss.
 #[inline(always)]
 pub(super) fn plain_residual(view: &View, point: &[f64; 3], measured: &Observation) -> [f64; 2] {
     let [x, y, z] = point_in_cam(view, point);
@@ -66,8 +66,9 @@ pub(super) fn robust_cost_and_root(loss: &RobustLoss, residual: &[f64; 2]) -> (f
     }
 }
 
-/// Residual and derivatives, weighted by √ρ' (eq. 5), and ρ. Derivatives by intrinsics go to `d_shared` if there is
-/// one, else into the view block if it has room.
+/// Residual and derivatives, weighted by √ρ' (eq. 5), and ρ.
+///
+/// Derivatives by intrinsics are written to `d_shared` if present, otherwise to the view block if it includes them.
 #[inline(always)]
 pub(super) fn linearize<const D: usize, F: Fused>(
     view: &View,

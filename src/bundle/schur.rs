@@ -1,8 +1,8 @@
-//! The reduced camera system S δ = −b that is left when the points are eliminated (eqs. 8–10).
+//! The reduced camera system S δ = −b after elimination of the points (eqs. 8–10).
 //!
-//! S is stored by *panels*: panel j holds the blocks (i, j), i ≤ j, of the pairs of views that see a common point.
-//! Every piece of the points has sums of its own ([`Sums`]); here they are added up, in the order of the pieces, with
-//! priors and damping. Shared cameras form a dense border.
+//! S is stored by *panels*: panel j contains the blocks (i, j), i ≤ j, of the pairs of views that observe a common
+//! point. Every piece of the points has separate sums ([`Sums`]); this module adds them up, in the order of the pieces,
+//! with priors and damping. Shared cameras form a dense border.
 
 use super::accumulate::{Sums, ViewTerms};
 use super::camera_sums::{CAMERA_DIM, CameraSums};
@@ -13,16 +13,15 @@ use super::pattern::Pattern;
 use super::point::damping_scale;
 use super::prior_terms::{PriorTarget, PriorTerms};
 
-/// Blocks that one task adds up, about: fewer are added up faster than another thread wakes.
+/// Approximate number of blocks added up per task: fewer take less time than waking another thread.
 const BLOCKS_PER_TASK: usize = 4096;
 
-/// S and b, and what the damping and the predicted decrease need.
+/// S and b, and the terms needed for the damping and the predicted decrease.
 pub(super) struct Reduced<const D: usize> {
     pub pattern: Pattern,
     /// Blocks (i, j) by panels; `[r][c]` couples freedom r of view i with freedom c of view j.
     pub blocks: Vec<[[f64; D]; D]>,
-    /// Where there is one, S is not formed: there are only the blocks (i, i), and those are the views' own, from which
-    /// no point has been eliminated.
+    /// If present, S is not formed: only the blocks (i, i) exist, without elimination of points.
     pub coupling: Option<Coupling<D>>,
     /// One per view.
     pub views: Vec<ViewTerms<D>>,
@@ -30,17 +29,17 @@ pub(super) struct Reduced<const D: usize> {
     pub border: Vec<[[f64; CAMERA_DIM]; D]>,
     /// The shared cameras' sums over all points.
     sums: CameraSums,
-    /// These with priors and damping.
+    /// The same sums with priors and damping.
     pub cameras: CameraSums,
 }
 
 impl<const D: usize> Reduced<D> {
-    /// Of a system that is formed.
+    /// System that is always formed.
     pub fn new(layout: &Layout) -> Self {
         Self::with(layout, Pattern::new(layout), None)
     }
 
-    /// Of a system for steps alone, which is not formed where that costs more than it is worth.
+    /// System for solving steps only, which is not formed if the alternative is cheaper.
     pub fn for_steps(layout: &Layout) -> Self {
         match Coupling::where_it_pays(layout) {
             Some(coupling) => Self::with(layout, Pattern::of_single_views(layout.num_blocks()), Some(coupling)),
@@ -61,12 +60,12 @@ impl<const D: usize> Reduced<D> {
         }
     }
 
-    /// Number of unknowns, held ones included.
+    /// Number of unknowns, constant ones included.
     pub fn size(&self) -> usize {
         self.views.len() * D + self.cameras.reduced.len()
     }
 
-    /// Forgets everything.
+    /// Clears the system.
     pub fn clear(&mut self) {
         self.blocks.fill([[0.0; D]; D]);
         self.views.fill(ViewTerms::ZERO);
@@ -74,7 +73,7 @@ impl<const D: usize> Reduced<D> {
         self.sums.clear();
     }
 
-    /// Adds what the points of a piece give.
+    /// Adds the sums of a piece.
     pub fn add(&mut self, sums: &Sums<D>, parallel: bool) {
         let num_shared = self.sums.reduced.len() / CAMERA_DIM;
         let into = self.blocks[sums.block_range.clone()].chunks_mut(BLOCKS_PER_TASK);
@@ -90,7 +89,7 @@ impl<const D: usize> Reduced<D> {
         self.sums.merge(&sums.cameras);
     }
 
-    /// Makes S + λD and b of the sums over all points: adds priors and damping.
+    /// Completes S + λD and b: adds priors and damping to the sums over all points.
     pub fn finish(&mut self, priors: &[PriorTerms], damping: f64) {
         for (j, view) in self.views.iter_mut().enumerate() {
             let own = &mut self.blocks[self.pattern.start[j + 1] - 1];

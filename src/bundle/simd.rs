@@ -1,9 +1,8 @@
-//! Running a task with the widest vector instructions that the processor has.
+//! Runtime dispatch of a task to the widest vector instructions of the processor.
 //!
 //! The compiler targets the oldest processor of its architecture; [`wide`] compiles its task a second time for AVX2
-//! with fused multiply-add and chooses at run time. Everything below must be inlined into the task to profit: where a
-//! closure is not, as those that `map` and `from_fn` of arrays take are not always, a multiplication with an addition
-//! is a function call.
+//! with fused multiply-add and chooses at run time. All called functions must be inlined into the task. In a closure
+//! that is not inlined, as may happen for `map` and `from_fn` of arrays, a fused multiply-add is a function call.
 
 use pulp::{Arch, Simd, WithSimd};
 
@@ -11,7 +10,7 @@ use pulp::{Arch, Simd, WithSimd};
 pub(super) trait Task {
     /// Return type.
     type Output;
-    /// Does it; `F` tells whether multiplication and addition are one instruction.
+    /// Runs the task; `F` selects fused or separate multiplication and addition.
     fn run<F: Fused>(self) -> Self::Output;
 }
 
@@ -22,7 +21,7 @@ pub(super) trait Fused {
 
 /// One instruction.
 pub(super) struct One;
-/// Two: without hardware for it, a fused multiplication would be a slow function call.
+/// Two instructions: without hardware support, a fused multiplication would be a slow function call.
 pub(super) struct Two;
 
 impl Fused for One {
@@ -49,7 +48,7 @@ impl<T: Task> WithSimd for Wide<T> {
     }
 }
 
-/// Runs a task with what the processor has.
+/// Runs a task with the widest supported instruction set.
 #[inline]
 pub(super) fn wide<T: Task>(task: T) -> T::Output {
     Arch::new().dispatch(Wide(task))

@@ -1,4 +1,4 @@
-//! Solving the reduced camera system: Cholesky of a dense matrix, of a band or of a sparse matrix.
+//! Solvers of the reduced camera system: dense, band and sparse Cholesky.
 
 mod by_points;
 mod dense;
@@ -14,25 +14,25 @@ use sparse::SparseSolver;
 use super::options::LinearSolver;
 use super::schur::Reduced;
 
-/// Below this size a dense factorisation costs less than finding a sparse one.
+/// Size below which a dense factorization costs less than a symbolic sparse one.
 const DENSE_SIZE: usize = 300;
-/// Above this part of all pairs of views the factor fills up, and a dense factorisation is faster.
+/// Fraction of all pairs of views above which the factor fills up, and a dense factorization is faster.
 const DENSE_FILL: f64 = 0.4;
-/// The same where the views lie in a band, which has no fill outside of it.
+/// The same for a band, which has no fill outside of it.
 const DENSE_BAND_FILL: f64 = 0.7;
-/// Above this size even a filled system is left to the sparse solver, which stores only what is there.
+/// Size above which even a filled system uses the sparse solver, which stores nonzero blocks only.
 const LARGEST_DENSE: usize = 12_000;
-/// From this size on, two threads factorise a dense matrix faster than one.
+/// Size from which two threads factorize a dense matrix faster than one.
 const PARALLEL_SIZE: usize = 1_000;
 
-/// One of the solvers, with what it keeps from one iteration to the next.
-// There is one of them per problem, so that its size does not matter.
+/// One of the solvers, with its state from one iteration to the next.
+// One instance exists per problem, so its size does not matter.
 #[allow(clippy::large_enum_variant)]
 pub(super) enum Solver {
     Dense(DenseSolver),
     Skyline(SkylineSolver),
     Sparse(SparseSolver),
-    /// Of a system that is not formed.
+    /// Solver of a system that is not formed.
     Points(PointsSolver),
 }
 
@@ -67,12 +67,12 @@ impl Solver {
     }
 
     fn sparse<const D: usize>(reduced: &Reduced<D>) -> Self {
-        // The symbolic factorization fails only where memory runs out; a band, however wide, needs none.
+        // The symbolic factorization fails only if memory runs out; a band, however wide, needs none.
         let sparse = if reduced.pattern.is_band() { None } else { SparseSolver::new(reduced) };
         sparse.map_or_else(|| Self::Skyline(SkylineSolver::new(reduced)), Self::Sparse)
     }
 
-    /// Solves S δ = −b. `Err` holds the pivot at which S is not positive definite.
+    /// Solves S δ = −b. `Err` contains the pivot at which S is not positive definite.
     pub fn solve<const D: usize>(&mut self, reduced: &Reduced<D>, step: &mut [f64]) -> Result<(), usize> {
         right_hand_side(reduced, step);
         if let (Self::Points(solver), Some(coupling)) = (&mut *self, &reduced.coupling) {
@@ -83,7 +83,7 @@ impl Solver {
         Ok(())
     }
 
-    /// Factorises S for [`Solver::solve_columns`]; the solver of a system that is not formed cannot.
+    /// Factorizes S for [`Solver::solve_columns`]; not available for a system that is not formed.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         match self {
             Self::Dense(solver) => solver.factor(reduced),
@@ -93,7 +93,7 @@ impl Solver {
         }
     }
 
-    /// Solves S X = `columns` in place with the last factor; nothing where there is none.
+    /// Solves S X = `columns` in place with the last factor; no effect without a factor.
     pub fn solve_columns(&mut self, columns: &mut [f64]) {
         match self {
             Self::Dense(solver) => solver.solve(columns),
@@ -129,7 +129,7 @@ mod tests {
 
     const DAMPING: f64 = 1e-3;
 
-    /// A flight over so many images with one camera.
+    /// A flight of `num_images` images with one camera.
     fn flight(num_images: u32) -> Problem {
         let num_points = 12 * num_images;
         let options = scene::Options {
@@ -155,7 +155,7 @@ mod tests {
         reduced
     }
 
-    /// The steps of all direct solvers are the same; returns the share of the envelope that the blocks take.
+    /// Checks that all direct solvers give the same step; returns the fraction of the envelope occupied by blocks.
     fn compare(problem: &Problem, layout: &Layout) -> f64 {
         let reduced = reduced(problem, layout);
         let solved = |mut solver: Solver| {
@@ -200,7 +200,7 @@ mod tests {
         assert!(is_border && share > 0.3, "{share}");
     }
 
-    /// Forty points in a hundred views: one is held, one known, one seen twice in a picture; a camera has a plane.
+    /// Forty points in a hundred views: one constant, one with a prior, one twice in an image; and a plane prior.
     fn few_points() -> Problem {
         let options = scene::Options { num_images: 100, num_points: 40, noise_px: 0.5, ..Default::default() };
         let mut problem =
@@ -234,7 +234,7 @@ mod tests {
         let mut by_points = vec![0.0; unformed.size()];
         let mut solver = Solver::new(LinearSolver::Auto, &unformed, false);
         assert!(matches!(solver, Solver::Points(_)));
-        // Again: nothing is left of the last time.
+        // Repeated: no state of the first solution remains.
         for _ in 0..2 {
             solver.solve(&unformed, &mut by_points).unwrap();
         }

@@ -1,4 +1,4 @@
-//! The parameters while they move.
+//! Parameters during the iterations.
 
 use nalgebra::{Point3, UnitQuaternion, Vector3};
 
@@ -13,11 +13,11 @@ pub(super) struct State {
     pub poses: Vec<Rigid3>,
     pub cameras: Vec<Camera>,
     pub points: Vec<[f64; 3]>,
-    /// Derived from the above: what a residual needs of each pose.
+    /// Derived from the above: pose and intrinsics in the form used by residuals.
     pub views: Vec<View>,
 }
 
-/// Pose as a matrix, and intrinsics, in one place.
+/// Pose as a matrix, with intrinsics.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct View {
     /// Rows of R.
@@ -47,7 +47,7 @@ impl State {
         state
     }
 
-    /// Brings [`State::views`] up to date with poses and cameras.
+    /// Updates [`State::views`] from poses and cameras.
     pub fn refresh_views(&mut self, problem: &Problem, layout: &Layout) {
         let view = |(pose, block): (&Rigid3, &super::PoseBlock)| {
             View::new(pose, &self.cameras[block.camera], layout.columns[block.camera])
@@ -55,8 +55,10 @@ impl State {
         self.views = self.poses.iter().zip(&problem.poses).map(view).collect();
     }
 
-    /// Moves poses and intrinsics by a step of the reduced system (eq. 2): `size` entries per view block, then six per
-    /// shared camera. Returns whether all values stayed in range (focal lengths positive, everything finite).
+    /// Applies a step of the reduced system to poses and intrinsics (eq. 2).
+    ///
+    /// The step has `size` entries per view block, then six per shared camera. Returns true if all values are in range
+    /// (focal lengths positive, everything finite).
     pub fn move_cameras(&mut self, from: &Self, problem: &Problem, layout: &Layout, step: &[f64], size: usize) -> bool {
         self.poses.clone_from(&from.poses);
         self.cameras.clone_from(&from.cameras);
@@ -79,7 +81,7 @@ impl State {
             && step.iter().all(|v| v.is_finite())
     }
 
-    /// Sum of the squares of all parameters but the points.
+    /// Sum of the squares of all parameters except the points.
     pub fn cameras_norm_sq(&self) -> f64 {
         let poses: f64 = self.poses.iter().map(|p| p.translation.norm_squared() + 1.0).sum();
         let cameras: f64 = self.cameras.iter().map(|c| c.intrinsics().iter().map(|v| v * v).sum::<f64>()).sum();
@@ -91,7 +93,7 @@ impl State {
         self.points.iter().map(|p| p.iter().map(|v| v * v).sum::<f64>()).sum()
     }
 
-    /// Writes the values back, after restoring the length of the baseline that the gauge holds (an exact freedom).
+    /// Writes the values back, after restoring the length of the baseline fixed by the gauge (an exact freedom).
     pub fn write(mut self, problem: &mut Problem, layout: &Layout) {
         self.restore_scale(problem, layout);
         for (block, pose) in problem.poses.iter_mut().zip(&self.poses) {
@@ -133,7 +135,7 @@ pub(super) fn perturb(cam_from_world: &Rigid3, delta: &[f64]) -> Rigid3 {
     Rigid3::new(rotation, turn * cam_from_world.translation + Vector3::new(delta[3], delta[4], delta[5]))
 }
 
-/// Intrinsics moved along their free columns.
+/// Intrinsics after a step along their free columns.
 pub(super) fn move_camera(camera: &Camera, columns: &Columns, delta: &[f64]) -> Camera {
     let mut values = camera.intrinsics();
     for (k, source) in columns.source[..columns.len].iter().enumerate() {

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Why the iterations ended.
+/// Reason for the end of the iterations.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Termination {
@@ -12,11 +12,11 @@ pub enum Termination {
     GradientTolerance,
     /// A step was shorter than the parameter tolerance: converged.
     ParameterTolerance,
-    /// The iterations ran out first.
+    /// The maximum number of iterations was reached.
     MaxIterations,
-    /// No damping gave a step that lowered the cost; the result is the best state seen.
+    /// No damping gave a step that lowered the cost; the result is the best state found.
     NoProgress,
-    /// Nothing is free, or nothing usable is observed: the problem is unchanged.
+    /// No free parameter or no usable observation: the problem is unchanged.
     #[default]
     NothingToDo,
 }
@@ -32,13 +32,13 @@ pub struct Summary {
     pub iterations: usize,
     /// Steps that lowered the cost.
     pub accepted: usize,
-    /// Why it ended.
+    /// Reason for termination.
     pub termination: Termination,
-    /// Observations used.
+    /// Number of observations used.
     pub num_residuals: usize,
-    /// Observations left out: their point lay behind the camera, or its projection was not finite, at the start.
+    /// Number of ignored observations: point behind the camera, or projection not finite, at the start.
     pub num_ignored: usize,
-    /// Used observations whose point lies behind its camera at the end.
+    /// Number of used observations whose point is behind its camera at the end.
     pub num_behind: usize,
     /// Size of the reduced camera system.
     pub reduced_size: usize,

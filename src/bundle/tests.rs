@@ -14,7 +14,7 @@ use crate::scene::Reconstruction;
 use crate::synthetic::scene::{self, CameraMotion, disturb, static_scene};
 
 impl Layout {
-    /// Of an exact world in which one camera that is known takes all pictures.
+    /// Problem of an exact world in which one camera with known intrinsics takes all images.
     pub fn of_world(num_images: u32, num_points: u32) -> Self {
         let truth = static_scene(&scene::Options { num_images, num_points, ..Default::default() });
         let problem = Problem::from_reconstruction(&truth, |_, camera| CameraBlock::fixed(*camera));
@@ -22,7 +22,7 @@ impl Layout {
     }
 }
 
-/// Truth, and a problem that starts away from it.
+/// Ground truth, and a problem with perturbed initial values.
 fn disturbed(options: &scene::Options, block: fn(Camera) -> CameraBlock) -> (Reconstruction, Problem) {
     let truth = static_scene(options);
     let mut start = truth.clone();
@@ -40,7 +40,7 @@ fn tight() -> Options {
     }
 }
 
-/// Largest distances of camera centres and points to the truth after alignment by the centres, and largest rotation
+/// Largest distances of camera centers and points to the truth after alignment by the centers, and largest rotation
 /// error.
 fn errors(truth: &Reconstruction, problem: &Problem) -> (f64, f64, f64) {
     let mut found = truth.clone();
@@ -112,7 +112,7 @@ fn noise_leaves_the_residual_that_its_freedoms_allow() {
     let (_, mut problem) = disturbed(&options, CameraBlock::fixed);
     let summary = adjust(&mut problem, &tight()).unwrap();
     let freedoms = 2 * summary.num_residuals - (6 * problem.poses.len() + 3 * problem.points.len() - 7);
-    // Σ r² / σ² is χ² with so many freedoms: standard deviation √(2/ν) of the ratio, four of them allowed.
+    // Σ r² / σ² is χ² with ν degrees of freedom: standard deviation √(2/ν) of the ratio, four of them allowed.
     let ratio = 2.0 * summary.final_cost / (0.7 * 0.7 * freedoms as f64);
     assert!((ratio - 1.0).abs() < 4.0 * (2.0 / freedoms as f64).sqrt(), "{ratio} {freedoms}");
 }
@@ -333,7 +333,7 @@ fn priors_pull_as_strongly_as_they_say() {
     assert!((problem.cameras[0].camera.focal[0] - 790.0).abs() < 1e-3);
 }
 
-/// Planes under the cameras and a few known points take a world of any place, orientation and size to where they are.
+/// Planes under the cameras and a few points with priors determine position, orientation and scale of the world.
 #[test]
 fn planes_and_points_decide_where_the_world_is() {
     let (truth, mut problem) = disturbed(&scene::Options::default(), CameraBlock::fixed);

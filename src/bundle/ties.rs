@@ -1,30 +1,31 @@
-//! Points that tie views far from one another, as where a video comes back to a place.
+//! Points observed by views far apart in time, as in loop closures of a video.
 //!
-//! Such a point couples all views of one visit with all of the other, and every further visit fills more of the reduced
-//! system, until it is dense. Two things keep it sparse:
+//! Such a point couples all views of one visit with all views of the other, and every further visit fills more of the
+//! reduced system, until it is dense. Two measures keep it sparse:
 //!
 //! - *thinning* ([`Problem::thin_ties`]): a point ties its last visit to its first, of which only every sixteenth view
-//!   counts, the same for all points. The other points of those views carry the rest of the information, and
-//!   visits between are tied by points that were not seen again later;
-//! - *the order*: those few views, the [`anchors`], come last in the reduced system. What is left without them is a
-//!   band, and its Cholesky factor fills nothing but the rows of the anchors.
+//!   is used, the same for all points. The other points of those views provide the rest of the information, and
+//!   intermediate visits are tied by points without later observations;
+//! - *ordering*: those few views, the [`anchors`], come last in the reduced system. The remaining system is a band, and
+//!   its Cholesky factor has fill only in the rows of the anchors.
 
 use super::layout::counting_sort;
 use super::problem::Problem;
 
-/// Of an earlier visit the views count whose numbers can be halved so often: one in sixteen.
+/// Power of two dividing the indices of the views used of the first visit: one view in sixteen.
 const MOST_HALVINGS: u32 = 4;
-/// Fewer poses than this are not worth an order of their own.
+/// Number of poses below which no special ordering pays.
 const FEW_POSES: usize = 256;
-/// Farther apart than this, in poses, views are tied.
+/// Gap between observations, in poses, beyond which a point starts another visit.
 pub(super) const FAR: u32 = 96;
-/// If more than this part of all poses were anchors, they would be no border but half of the system.
+/// Maximum fraction of anchors among all poses: more would no longer be a small border.
 const MOST_ANCHORS: f64 = 0.2;
 
 impl Problem {
-    /// Leaves out observations of points that were lost for more than `gap` poses and seen again: their last visit
-    /// counts, and of the first one view in sixteen, or, where it has none of these, one in eight, or in four, or in
-    /// two. Poses are in order of time.
+    /// Removes redundant observations of points re-detected after more than `gap` poses.
+    ///
+    /// The last visit is kept, and of the first one view in sixteen, or, if it has none of these, one in eight, in
+    /// four, or in two. Poses are in order of time.
     pub fn thin_ties(&mut self, gap: usize) {
         let used: Vec<u32> = (0..self.observations.len() as u32).collect();
         let mut kept = vec![true; used.len()];
@@ -44,13 +45,14 @@ impl Problem {
     }
 }
 
-/// Number of times a number can be halved, up to the maximum that counts.
+/// Number of times an index can be halved, up to [`MOST_HALVINGS`].
 fn halvings(pose: u32) -> u32 {
     pose.trailing_zeros().min(MOST_HALVINGS)
 }
 
-/// By pose: whether it is one of the few that tie far ones to an earlier place. None in small problems, and none where
-/// there would be so many that they form no border.
+/// True for each pose that is an anchor: one of the few that tie later poses to an earlier visit.
+///
+/// Small problems have none; neither have problems with too many anchors for a border.
 pub(super) fn anchors(problem: &Problem, used: &[u32]) -> Vec<bool> {
     let mut anchors = vec![false; problem.poses.len()];
     if problem.poses.len() < FEW_POSES {
@@ -90,7 +92,7 @@ impl Visits {
     }
 }
 
-/// The visits of a point but the last: runs of its observations, sorted by pose, without a gap wider than `gap`.
+/// All visits of a point except the last: runs of its observations, sorted by pose, without a gap wider than `gap`.
 fn earlier_visits(seen: &[u32], pose: impl Fn(u32) -> u32 + Copy, gap: u32) -> impl Iterator<Item = &[u32]> {
     let mut visits = seen.chunk_by(move |a, b| pose(*b) - pose(*a) <= gap).peekable();
     std::iter::from_fn(move || visits.next().filter(|_| visits.peek().is_some()))
@@ -105,7 +107,7 @@ mod tests {
     use crate::camera::Camera;
     use crate::math::Rigid3;
 
-    /// Points that are seen in these poses each, of so many.
+    /// Problem of `num_poses` poses, with the observing poses of each point.
     fn seen(num_poses: usize, points: &[Vec<u32>]) -> Problem {
         let pose = PoseBlock { cam_from_world: Rigid3::identity(), camera: 0, fixed: false };
         let point = PointBlock { position: Point3::new(0.0, 0.0, 1.0), fixed: false };
@@ -144,7 +146,7 @@ mod tests {
         problem.thin_ties(96);
         let found = anchors(&problem, &used(&problem));
         assert_eq!((0..600).filter(|pose| found[*pose]).collect::<Vec<_>>(), [0, 16, 32]);
-        // As many as make no border, and problems that are small, keep their order.
+        // Problems with too many anchors, and small problems, keep their order.
         let many = seen(600, &[(0..200).chain(300..340).collect()]);
         assert!(!anchors(&many, &used(&many)).contains(&true));
         let small = seen(200, &[vec![0, 150]]);

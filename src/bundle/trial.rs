@@ -1,4 +1,4 @@
-//! The step of the points, and the cost where it leads.
+//! Trial step of the points, and its cost.
 
 use super::kept::{Kept, Source};
 use super::layout::{Layout, NONE};
@@ -19,12 +19,14 @@ pub(super) struct Trial {
     pub step_sq: f64,
     /// Sum of the squares of the parameters at the new state.
     pub norm_sq: f64,
-    /// Σ ρ / 2 at the new state; infinite where any residual is not finite.
+    /// Σ ρ / 2 at the new state; infinite if any residual is not finite.
     pub cost: f64,
 }
 
-/// Moves the points for a step of the reduced system (eq. 11) from those of `from` to `to`, whose cameras have moved
-/// already. The linearisation was that at `from` with the same damping.
+/// Computes the step of the points (eq. 11) for a step of the reduced system.
+///
+/// Reads the points of `from` and writes those of `to`, whose cameras are already updated. The linearization must be at
+/// `from` with the same damping.
 pub(super) fn try_step<const D: usize>(
     lin: &Linearization<D>,
     pass: &Pass,
@@ -55,7 +57,7 @@ pub(super) fn try_step<const D: usize>(
     total
 }
 
-/// Σ ρ / 2 at a state; infinite where any residual is not finite.
+/// Σ ρ / 2 at a state; infinite if any residual is not finite.
 pub(super) fn cost(pass: &Pass, state: &State) -> f64 {
     finite_or_infinite(0.5 * wide(Cost { pass, state }))
 }
@@ -64,7 +66,7 @@ fn finite_or_infinite(cost: f64) -> f64 {
     if cost.is_finite() { cost } else { f64::INFINITY }
 }
 
-/// Observations whose point lies behind its camera.
+/// Number of observations whose point is behind its camera.
 pub(super) fn count_behind(pass: &Pass, state: &State) -> usize {
     let behind =
         |position: &[f64; 3], o: usize| point_in_cam(&state.views[pass.measured(o).pose as usize], position)[2] <= 0.0;
@@ -100,7 +102,7 @@ impl<const D: usize> Task for MovePoints<'_, D> {
                 out.decrease += one.terms.predicted_decrease(&delta, damping);
             }
             let moved = [before[0] + delta[0], before[1] + delta[1], before[2] + delta[2]];
-            let (position, cost) = settled::<D, F>(pass, one, views, point, moved);
+            let (position, cost) = refined_point::<D, F>(pass, one, views, point, moved);
             points[place] = position;
             out.cost += cost;
             for k in 0..3 {
@@ -112,10 +114,11 @@ impl<const D: usize> Task for MovePoints<'_, D> {
     }
 }
 
-/// One more step of a point alone after the cameras have moved (eq. 11a), if it lowers the cost; the position and its
-/// cost.
+/// Refines a point by a further step with the cameras updated (eq. 11a), if that lowers the cost.
+///
+/// Returns the position and its cost.
 #[inline(always)]
-fn settled<const D: usize, F: Fused>(
+fn refined_point<const D: usize, F: Fused>(
     pass: &Pass,
     one: Eliminated<D>,
     views: &[View],

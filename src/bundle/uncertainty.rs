@@ -15,52 +15,55 @@ use crate::camera::NUM_INTRINSICS;
 use crate::math::bin;
 use crate::scene::{CameraId, ImageId, Reconstruction};
 
-/// Factor on the residuals' noise for errors common to all observations: those of the model of the lens or of the
-/// shutter, and points that slide with the view. Such errors do not average out, and intrinsics absorb them.
+/// Factor on the residuals' noise for errors common to all observations: errors of the distortion or shutter model, and
+/// points that slide with the view. Such errors do not average out, and intrinsics absorb them.
 pub const COMMON_ERROR_FACTOR: f64 = 5.0;
 
-/// With more images than this, places that come back would fill the system of equations.
+/// Number of images above which loop closures would fill the normal equations.
 const MANY_IMAGES: usize = 400;
 
-/// Of longer videos every second image counts, or every third, and so on, so that about so many are left: the system of
-/// equations must not grow with the video. Tracks keep at least [`LEAST_LEFT`] images in the mean.
+/// Approximate number of images used of longer videos, by taking every second image, every third, and so on.
+///
+/// It bounds the size of the normal equations. Tracks keep at least [`LEAST_LEFT`] images on average.
 const MOST_IMAGES: usize = 800;
-/// See [`MOST_IMAGES`].
+/// Minimum mean track length after subsampling, images; see [`MOST_IMAGES`].
 const LEAST_LEFT: usize = 4;
 
-/// Standard deviations of camera centres.
+/// Standard deviations of camera centers.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CenterDeviations {
     /// Standard deviation of a pixel coordinate, from the residuals.
     pub pixel_px: f64,
-    /// The image that holds the gauge: exact by definition.
+    /// The image that fixes the gauge: exact by definition.
     pub held: ImageId,
-    /// The one farthest from it, which holds the scale by the largest coordinate of `held` in its frame.
+    /// The image farthest from it, which fixes the scale by the largest coordinate of `held` in its frame.
     pub farthest: ImageId,
-    /// Per image √ of the trace of its centre's covariance, world units.
+    /// Per image: square root of the trace of its center's covariance, world units.
     pub centers: BTreeMap<ImageId, f64>,
 }
 
-/// Standard deviations of the centres of at most `num_images` images, evenly spread, from the covariance of the
-/// reconstruction's adjustment.
+/// Standard deviations of the centers of at most `num_images` images, evenly spread.
 ///
-/// * `intrinsics` – prior standard deviations of fx, fy, cx, cy, k1, k2 of each camera; zero for those that are held,
-///   as those of absent cameras are.
+/// They are computed from the covariance of the reconstruction's bundle adjustment.
 ///
-/// With the intrinsics held, two are computed, and the larger one counts: if every observation errs by itself, with
-/// the noise of a pixel taken from the residuals, σ² = Σ r² / (residuals − unknowns); and if those of a part of the
-/// time and of the image err together (a sandwich over groups of them), as tracks do that slide.
+/// * `intrinsics` – prior standard deviations of fx, fy, cx, cy, k1, k2 of each camera; zero for constant parameters.
+///   Intrinsics of absent cameras are constant.
 ///
-/// In models of more than 400 images, points that are seen again after more than 96 images count with a part of what
-/// was seen before ([`Problem::thin_ties`]).
+/// With constant intrinsics, two values are computed, and the larger one is used. The first assumes independent
+/// observation errors, with the pixel noise estimated from the residuals, σ² = Σ r² / (residuals − unknowns). The
+/// second assumes errors correlated within a part of the time and of the image (a sandwich estimator over these
+/// groups), as for sliding tracks.
 ///
-/// Of long videos one image in so many counts; errors that are each observation's own then average out over fewer, and
-/// are scaled by the root of that, those that are common to a group are not.
+/// In models of more than 400 images, the earlier observations of points re-detected after more than 96 images are
+/// thinned ([`Problem::thin_ties`]).
 ///
-/// They are relative to what holds the gauge: the first image, which is exact by definition and left out, and its
-/// distance to the image farthest from it. The share of the intrinsics is added, but for a similarity of the whole
-/// path: all observations err together in it ([`COMMON_ERROR_FACTOR`]). The standard deviations know nothing of wrong
-/// matches. `None` where there are no more residuals than unknowns.
+/// Long videos are subsampled. Independent errors then average out over fewer images, and are scaled by the square root
+/// of the subsampling factor; errors common to a group are not.
+///
+/// The values are relative to the gauge: the first image, which is exact by definition and omitted, and its distance to
+/// the image farthest from it. The contribution of the intrinsics is added, except for a similarity of the whole
+/// trajectory; it is an error common to all observations ([`COMMON_ERROR_FACTOR`]). Wrong matches are not modeled.
+/// `None` if there are no more residuals than unknowns.
 ///
 /// # Errors
 /// As [`super::covariances`].
@@ -72,7 +75,7 @@ pub fn center_deviations(
     let one_in = one_in(model);
     let mut problem = Problem::from_images(model, |_, camera| CameraBlock::fixed(*camera), one_in);
     if one_in > 1 {
-        leave_single_observations_out(&mut problem);
+        remove_single_observations(&mut problem);
     }
     problem.check()?;
     let Some(pixel_px) = pixel_deviation(&problem) else { return Ok(None) };
@@ -108,8 +111,9 @@ pub fn center_deviations(
     Ok(Some(CenterDeviations { pixel_px, held: ids[held], farthest: ids[farthest], centers }))
 }
 
-/// Covariances of the centers of a problem's poses by intrinsics that have such standard deviations beforehand; empty
-/// if all are held.
+/// Covariances of the centers of a problem's poses caused by intrinsics with these prior standard deviations.
+///
+/// Empty if all are constant.
 fn shares_of_intrinsics(
     model: &Reconstruction,
     mut problem: Problem,
@@ -125,7 +129,7 @@ fn shares_of_intrinsics(
         }
         block.free = std.map(|std| std > 0.0);
         let mut sigma = std.map(|std| if std > 0.0 { std / unit_px } else { f64::INFINITY });
-        // One focal length has the priors of fx and of fy.
+        // A single focal length has the priors of fx and of fy.
         sigma[..2].iter_mut().for_each(|std| *std *= std::f64::consts::SQRT_2);
         problem.priors.intrinsics.push(IntrinsicsPrior { camera, values: block.camera.intrinsics(), sigma });
     }
@@ -136,21 +140,21 @@ fn shares_of_intrinsics(
     Ok(shares.into_iter().map(|share| share * unit_px.powi(2)).collect())
 }
 
-/// Of how many images one counts.
+/// Subsampling factor of the images.
 fn one_in(model: &Reconstruction) -> usize {
     let num_seen: usize = model.points.values().map(|point| point.track.len()).sum();
     let mean_track = num_seen / model.points.len().max(1);
     (model.images.len() / MOST_IMAGES).min(mean_track / LEAST_LEFT).max(1)
 }
 
-/// Points that one image alone sees have no depth.
-fn leave_single_observations_out(problem: &mut Problem) {
+/// Removes points with a single observation, whose depth is undetermined.
+fn remove_single_observations(problem: &mut Problem) {
     let mut counts = vec![0u32; problem.points.len()];
     problem.observations.iter().for_each(|o| counts[o.point as usize] += 1);
     problem.observations.retain(|o| counts[o.point as usize] > 1);
 }
 
-/// Points that may err together: those of a part of the time and of the picture.
+/// Groups of points with correlated errors: those of one part of the time and of the image.
 fn groups(problem: &Problem) -> Groups {
     // Parts of the time: with those of the image 48 groups, several times as many as a camera has parameters.
     const TIMES: usize = 8;
@@ -173,7 +177,9 @@ fn groups(problem: &Problem) -> Groups {
     Groups { of_point: sums.iter().map(group).collect(), count: TIMES * PARTS[0] * PARTS[1] }
 }
 
-/// From the residuals' sum of squares and the redundancy, of which the gauge gives back seven.
+/// Standard deviation of a pixel coordinate, from the sum of squared residuals and the redundancy.
+///
+/// The seven gauge degrees of freedom are added back to the redundancy.
 fn pixel_deviation(problem: &Problem) -> Option<f64> {
     let residual_sq = |o: &super::Observation| problem.residual_px(o).norm_squared();
     let sum: f64 = problem.observations.iter().map(residual_sq).filter(|sq| sq.is_finite()).sum();

@@ -3,13 +3,15 @@
 use nalgebra::{Matrix2, SymmetricEigen, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// The symmetric matrix W = C^(−1/2) of a position's covariance C, stored as w_xx, w_xy, w_yy: residuals times W have
-/// unit covariance. A point on an edge is located well across the edge and badly along it, and W says so.
+/// The symmetric matrix W = C^(−1/2) of a position's covariance C, stored as w_xx, w_xy, w_yy.
+///
+/// Residuals times W have unit covariance. W expresses that a point on an edge is located well across the edge and
+/// badly along it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Whitening(pub [f64; 3]);
 
 impl Whitening {
-    /// One pixel in every direction.
+    /// Standard deviation of one pixel in every direction.
     pub const IDENTITY: Self = Self([1.0, 0.0, 1.0]);
 
     /// The same standard deviation in every direction.
@@ -17,7 +19,7 @@ impl Whitening {
         Self([1.0 / sigma, 0.0, 1.0 / sigma])
     }
 
-    /// From a covariance, whose standard deviations are first brought between `least` and `most`.
+    /// Whitening from a covariance, whose standard deviations are first clamped between `least` and `most`.
     pub fn from_covariance(covariance: Matrix2<f64>, least: f64, most: f64) -> Self {
         let eigen = SymmetricEigen::new(covariance);
         let inverse = eigen.eigenvalues.map(|variance| 1.0 / variance.max(0.0).sqrt().clamp(least, most));

@@ -11,7 +11,7 @@
 use nalgebra::{Matrix2, Vector2};
 use serde::{Deserialize, Serialize};
 
-/// k₃, p₁ and p₂ of a lens.
+/// Distortion coefficients k₃, p₁ and p₂.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct HigherTerms {
     /// Third radial coefficient.
@@ -21,7 +21,7 @@ pub struct HigherTerms {
 }
 
 impl HigherTerms {
-    /// Those of a lens that k₁ and k₂ describe.
+    /// Zero coefficients: distortion by k₁ and k₂ only.
     pub const ZERO: Self = Self { k3: 0.0, tangential: [0.0; 2] };
 
     /// Returns true if all terms are zero.
@@ -30,7 +30,7 @@ impl HigherTerms {
         *self == Self::ZERO
     }
 
-    /// Figures that follow k₁ and k₂ in a line: k₃, then "p" and p₁, p₂; empty if all are zero.
+    /// Text that follows k₁ and k₂ in a line: k₃, then "p" and p₁, p₂; empty if all are zero.
     pub fn in_figures(&self) -> String {
         let Self { k3, tangential: [p1, p2] } = self;
         if self.are_zero() { String::new() } else { format!(" {k3:.5} p {p1:.5} {p2:.5}") }

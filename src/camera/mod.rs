@@ -1,16 +1,15 @@
-//! The pinhole camera with radial and tangential distortion, and its derivatives.
+//! Pinhole camera with radial and tangential distortion, and its derivatives.
 //!
 //! With x = X/Z, y = Y/Z, r² = x² + y² and the factor d = 1 + k₁ r² + k₂ r⁴, a point (X, Y, Z) in camera coordinates
-//! (x right, y down, z forward) is seen at
+//! (x right, y down, z forward) projects to
 //!
 //! ```text
 //! u = fx (d x + a) + cx,    v = fy (d y + b) + cy.
 //! ```
 //!
-//! (a, b) are the [`HigherTerms`] of k₃, p₁ and p₂, zero for most lenses. They are held wherever a camera is adjusted:
-//! `docs/decisions/011-fixed-distortion-terms.md`. Pixels follow COLMAP: the corner of the image is (0, 0),
-//! the centre of the first pixel is (0.5, 0.5). [`Model`] names the models of files and says which of them this one
-//! covers.
+//! (a, b) are the [`HigherTerms`] of k₃, p₁ and p₂, zero for most lenses. They are constant in every adjustment of a
+//! camera: `docs/decisions/011-fixed-distortion-terms.md`. Pixels follow COLMAP: the corner of the image is (0, 0), the
+//! center of the first pixel is (0.5, 0.5). [`Model`] lists the camera models of files and those covered by this one.
 
 mod higher;
 mod model;
@@ -24,27 +23,27 @@ pub use model::Model;
 /// Number of intrinsic parameters that can be adjusted: fx, fy, cx, cy, k1, k2, in this order.
 pub const NUM_INTRINSICS: usize = 6;
 
-/// Largest inclination of a camera below the horizon, radians: straight down, over a slope. Beyond it the image is
+/// Maximum inclination of a camera below the horizon, radians: straight down, over a slope. Beyond it the image is
 /// upside down.
 pub const MAX_INCLINATION: f64 = 1.65;
-/// Least sine of a ray's angle below the horizon: beyond it, at 33 camera heights, the plane of the ground is too far
+/// Minimum sine of a ray's angle below the horizon: below it, beyond 33 camera heights, the ground plane is too far
 /// away.
 pub const LEAST_DIP: f64 = 0.03;
 
-/// Standard deviation of the horizon's roll where no sensor measures the vertical, radians: gimbals keep it within one
-/// degree, poles within some.
+/// Standard deviation of the horizon's roll if no sensor measures the vertical, radians: gimbals keep the roll within
+/// one degree, poles within some degrees.
 pub const ROLL_STD: f64 = 0.035;
-/// Standard deviation of the slope of roads along their way, radians: half of the 4.5 to 8 % up to which guidelines let
-/// country roads rise (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
+/// Standard deviation of the longitudinal slope of roads, radians: half of the 4.5 to 8 % that guidelines allow for
+/// country roads (FGSV, *Richtlinien für die Anlage von Landstraßen*, 2012).
 pub const SLOPE_STD: f64 = 0.035;
-/// Standard deviation of the focal length's logarithm where it is a guess and nothing shows it: cameras on poles and
-/// bridges may have long lenses. Of six real ones three were within a factor of 1.5 of the guess, three several times
-/// as long.
+/// Standard deviation of the logarithm of a guessed focal length that the images do not determine: cameras on poles and
+/// bridges may have long focal lengths. Of six real ones three were within a factor of 1.5 of the guess, three several
+/// times as long.
 pub const GUESSED_FOCAL_STD: f64 = 0.75;
 /// Standard deviation of the tilt beyond which the ground below a camera is unknown, radians.
 pub const MAX_TILT_STD: f64 = 0.15;
 
-/// The vertical in the frame of a camera: regular straight down, too, where a roll about the axis is none.
+/// Up direction in the camera frame, with a parametrization that is regular for a camera looking straight down, too.
 ///
 /// * `angles` – inclination below the horizon, and tilt to the right, radians.
 pub fn up_in_cam(angles: Vector2<f64>) -> Vector3<f64> {
@@ -65,7 +64,7 @@ pub struct Camera {
     pub principal: [f64; 2],
     /// Radial distortion k₁, k₂.
     pub radial: [f64; 2],
-    /// Distortion beyond k₁ and k₂; held where a camera is adjusted.
+    /// Distortion beyond k₁ and k₂; constant in adjustments.
     #[serde(default, skip_serializing_if = "HigherTerms::are_zero")]
     pub higher: HigherTerms,
 }
@@ -82,7 +81,7 @@ pub struct Projection {
 }
 
 impl Camera {
-    /// A camera without distortion, principal point in the middle.
+    /// Camera without distortion, principal point at the image center.
     pub fn with_focal(width: u32, height: u32, focal_px: f64) -> Self {
         Self {
             width,
@@ -94,16 +93,17 @@ impl Camera {
         }
     }
 
-    /// The guess for the unknown camera of a video: focal length 0.75 × the longer side, a field of view of 67°.
+    /// Initial guess for an unknown video camera: focal length 0.75 × the longer side, a field of view of 67°.
     ///
-    /// The middle of what videos are taken with, in longer sides: phones 0.65 to 0.85, drones 0.65 to 0.8, cameras of
+    /// The middle of typical focal lengths, in longer sides: phones 0.65 to 0.85, drones 0.65 to 0.8, cameras of
     /// driving data sets 0.55 to 0.95, dashcams and action cameras 0.4 to 0.6.
     pub fn prior(width: u32, height: u32) -> Self {
         Self::with_focal(width, height, 0.75 * f64::from(width.max(height)))
     }
 
-    /// The same for photographs: focal length once the longer side, 36 mm of a full frame. They are taken with phones
-    /// and drones as well, but also with zoom lenses of 24 to 85 mm.
+    /// Initial guess for photographs: focal length equal to the longer side, 36 mm of a full frame.
+    ///
+    /// They are taken with phones and drones as well, but also with zoom lenses of 24 to 85 mm.
     pub fn prior_of_photograph(width: u32, height: u32) -> Self {
         Self::with_focal(width, height, f64::from(width.max(height)))
     }
@@ -140,7 +140,7 @@ impl Camera {
         matches!(first.len(), 4..=6 | 8 | 9).then_some(Self { higher, ..camera })
     }
 
-    /// The camera of the same picture resized to `width` × `height`.
+    /// Camera of the same image resized to `width` × `height`.
     pub fn resized(&self, width: u32, height: u32) -> Self {
         let sx = f64::from(width) / f64::from(self.width);
         let sy = f64::from(height) / f64::from(self.height);
@@ -164,7 +164,7 @@ impl Camera {
         (self.focal[0] * self.focal[1]).sqrt()
     }
 
-    /// Pixel at which a point in camera coordinates is seen; `None` if it does not lie in front of the camera.
+    /// Projects a point in camera coordinates; `None` if it is not in front of the camera.
     #[inline]
     pub fn pixel_from_cam(&self, point_in_cam: Point3<f64>) -> Option<Point2<f64>> {
         if !(point_in_cam.z > f64::EPSILON) {
@@ -184,7 +184,7 @@ impl Camera {
         Point2::new(self.focal[0] * distorted.x + self.principal[0], self.focal[1] * distorted.y + self.principal[1])
     }
 
-    /// As [`Camera::pixel_from_cam`], with derivatives. `point_in_cam.z` must not be zero; its sign is not looked at.
+    /// As [`Camera::pixel_from_cam`], with derivatives. `point_in_cam.z` must not be zero; its sign is ignored.
     #[inline(always)]
     pub fn project(&self, point_in_cam: Point3<f64>) -> Projection {
         let ([fx, fy], [k1, k2]) = (self.focal, self.radial);
@@ -222,7 +222,7 @@ impl Camera {
         projection
     }
 
-    /// Adds the derivatives of the higher terms. Separate, so that the common case stays short.
+    /// Adds the derivatives of the higher terms. Separate function, to keep the common case short.
     #[cold]
     #[inline(never)]
     fn add_higher(&self, projection: &mut Projection, normalized: Vector2<f64>, d_point: &Matrix2x3<f64>) {
@@ -263,8 +263,8 @@ impl Camera {
         if target > 0.0 { distorted * (radius / target) } else { distorted }
     }
 
-    /// The inverse of the whole distortion on the plane z = 1: Newton in both coordinates, started at the distorted
-    /// place.
+    /// Inverse of the complete distortion on the plane z = 1: Newton's method in both coordinates, started at the
+    /// distorted position.
     fn undistorted(&self, distorted: Vector2<f64>) -> Vector2<f64> {
         let [k1, k2] = self.radial;
         let mut place = distorted;
@@ -306,7 +306,7 @@ impl Camera {
 mod tests {
     use super::*;
 
-    /// A lens with k₁ and k₂ alone, and one with all terms.
+    /// A camera with k₁ and k₂ only, and one with all terms.
     fn cameras() -> [Camera; 2] {
         let all = [800.0, 810.0, 470.0, 280.0, -0.12, 0.03, 0.004, -0.003, 0.02];
         [6, 9].map(|count| Camera::prior(960, 540).with_parameters(&all[..count]).unwrap())

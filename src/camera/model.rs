@@ -1,7 +1,7 @@
-//! The camera models of files, by the names that COLMAP gives them (`src/colmap/sensor/models.h`).
+//! Camera models of files, by their COLMAP names (`src/colmap/sensor/models.h`).
 //!
-//! [`Camera`] covers the pinhole models with up to three radial and two tangential coefficients. The others are known
-//! by name and number of parameters, so that a model that uses them can be carried through and refused by name.
+//! [`Camera`] covers the pinhole models with up to three radial and two tangential coefficients. For the others only
+//! name and number of parameters are known, so that files using them can be passed through or rejected by name.
 
 use super::{Camera, HigherTerms};
 
@@ -16,7 +16,7 @@ macro_rules! models {
         with_names!(Model { $($variant = $name),* });
 
         impl Model {
-            /// As in COLMAP's binary files.
+            /// Model id in COLMAP's binary files.
             pub fn id(self) -> i32 {
                 match self { $(Self::$variant => $id,)* }
             }
@@ -64,33 +64,33 @@ models! {
     Fisheye = 15, "FISHEYE", 4;
     /// fx, fy, cx, cy, alpha, beta.
     Eucm = 16, "EUCM", 6;
-    /// Width and height of the whole sphere's picture.
+    /// Width and height of the image of the whole sphere.
     Equirectangular = 17, "EQUIRECTANGULAR", 2;
 }
 
 impl Model {
-    /// The model of a name.
+    /// Model with this name.
     pub fn by_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
-    /// The model of a number.
+    /// Model with this id.
     pub fn by_id(id: i32) -> Option<Self> {
         Self::ALL.into_iter().find(|model| model.id() == id)
     }
 
-    /// The smallest model that holds a camera: with one focal length if the camera has one.
+    /// Smallest model that represents a camera: with a single focal length if the camera has one.
     pub fn of(camera: &Camera) -> Self {
         let smallest = [Self::SimplePinhole, Self::SimpleRadial, Self::Radial, Self::Pinhole, Self::OpenCv];
         smallest.into_iter().find(|model| model.params_of(camera).is_some()).unwrap_or(Self::FullOpenCv)
     }
 
-    /// Returns true if the model describes images that a pinhole with radial and tangential distortion cannot.
+    /// Returns true if a pinhole with radial and tangential distortion cannot represent the model.
     pub fn is_foreign(self) -> bool {
         self.places().is_none()
     }
 
-    /// For each parameter that [`Camera`] covers, its place among [`Camera::parameters`]; one focal length is fx.
+    /// Index in [`Camera::parameters`] of each parameter covered by [`Camera`]; a single focal length is fx.
     fn places(self) -> Option<&'static [usize]> {
         Some(match self {
             Self::SimplePinhole => &[0, 2, 3],
@@ -103,7 +103,7 @@ impl Model {
         })
     }
 
-    /// The camera that parameters describe; `None` if their number is wrong or [`Camera`] does not cover them.
+    /// Camera from parameters of this model; `None` if their number is wrong or [`Camera`] does not cover the model.
     pub fn camera(self, width: u32, height: u32, params: &[f64]) -> Option<Camera> {
         let places = self.places().filter(|_| params.len() == self.num_params())?;
         let (covered, others) = params.split_at(places.len());
@@ -115,7 +115,7 @@ impl Model {
         Camera::prior(width, height).with_parameters(&all).filter(|_| others.iter().all(|value| *value == 0.0))
     }
 
-    /// The parameters of a camera in this model; `None` if it has no place for one of them.
+    /// Parameters of a camera in this model; `None` if the model lacks one of them.
     pub fn params_of(self, camera: &Camera) -> Option<Vec<f64>> {
         let all = camera.parameters();
         let mut params: Vec<f64> = self.places()?.iter().map(|place| all[*place]).collect();
@@ -126,8 +126,9 @@ impl Model {
         same.then_some(params)
     }
 
-    /// A pinhole with the focal lengths and the principal point of parameters that [`Camera`] does not cover: right in
-    /// the middle of the picture alone.
+    /// Pinhole with the focal lengths and principal point of a model that [`Camera`] does not cover.
+    ///
+    /// It is accurate at the image center only.
     pub fn pinhole_part(self, width: u32, height: u32, params: &[f64]) -> Camera {
         let plain = Camera::prior(width, height);
         let (focal, principal) = match (self, params) {

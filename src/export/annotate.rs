@@ -1,8 +1,8 @@
-//! The video with what was found drawn into it: masks, identities, speeds, and the ways on the ground.
+//! The video with the results drawn into it: masks, identities, speeds and trajectories on the ground.
 //!
-//! Every chosen frame of the input is decoded once, drawn into and encoded; none is kept. The way of a vehicle is the
-//! line of its centres, let down to the ground along the normal of its local plane, seen by the camera of the frame:
-//! where it has been strong, where it will be thin.
+//! Every chosen frame of the input is decoded once, drawn into and encoded; none is kept. The path of a vehicle is the
+//! line of its centers, projected to the ground along the normal of its local plane and into the frame's camera: thick
+//! for the past, thin for the future.
 
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,20 +23,20 @@ use crate::math::rounding::with_std;
 use crate::report::{object_colour, overlay};
 use crate::scene::{Frame, FrameId, GroundTrack, Mask, Motion, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
-/// Width of a way where a vehicle has been, as a share of the picture's shorter side.
+/// Line width of a vehicle's past path, as a share of the image's shorter side.
 const LINE: f64 = 0.006;
 
-/// Writes the video.
+/// Writes the annotated video.
 ///
 /// # Errors
-/// An input that is gone, has other pictures than the results, or cannot be decoded at all; an encoder that refuses.
+/// An input that is missing, does not match the results, or cannot be decoded at all; an encoder failure.
 pub(super) fn write(path: &Path, results: &Results, pictures: &Pictures) -> Result<(), ExportError> {
     let annotator = Annotator::new(results);
     let encode = |source: FfmpegError| ExportError::Encode { path: path.to_owned(), source };
     let mut encoder: Option<Encoder> = None;
     let mut start_s = 0.0;
     for next in pictures.frames()? {
-        // A frame that cannot be decoded was reported by the run; here it is one picture less.
+        // A frame that cannot be decoded was reported by the run; here it is skipped.
         let Ok((frame, picture)) = next else { continue };
         pictures.check_size(&picture, results)?;
         let masks = masks_of(pictures.folder, &frame, picture.dimensions())?;
@@ -68,42 +68,42 @@ pub(super) fn masks_of(
     paths.map(|(id, path)| Ok((id, masks::read_mask(&path, size)?))).collect()
 }
 
-/// Draws what was found into pictures.
+/// Draws the results into images.
 struct Annotator<'a> {
     results: &'a Results,
     views: BTreeMap<&'a str, &'a RegisteredFrame>,
-    /// The ways on the ground, in the background's frame.
-    ways: BTreeMap<ObjectId, Vec<Point3<f64>>>,
+    /// The paths on the ground, in the background's frame.
+    paths: BTreeMap<ObjectId, Vec<Point3<f64>>>,
 }
 
 impl<'a> Annotator<'a> {
     fn new(results: &'a Results) -> Self {
-        let ways = results.trajectories.objects.iter().map(|object| (object.id, way_on_ground(results, object)));
+        let paths = results.trajectories.objects.iter().map(|object| (object.id, path_on_ground(results, object)));
         let views = results.views.iter().map(|view| (view.frame.name.as_str(), view)).collect();
-        Self { results, views, ways: ways.collect() }
+        Self { results, views, paths: paths.collect() }
     }
 
     fn draw(&self, picture: &RgbImage, frame: &Frame, masks: &[(ObjectId, Mask)]) -> Result<RgbImage, ExportError> {
         let side = f64::from(picture.width().min(picture.height()));
         let mut canvas = Canvas::new(picture)?;
-        // Of a rejected trajectory and a ground track the latter is drawn.
+        // The ground track takes precedence over a rejected trajectory.
         for object in self.results.trajectories.objects.iter().filter(|object| self.is_shown(object)) {
             let Ok(now) = object.poses.binary_search_by_key(&frame.id, |pose| pose.frame) else { continue };
-            self.draw_way(&mut canvas, (object.id, &self.ways[&object.id]), (frame, now), (side, 1))?;
+            self.draw_path(&mut canvas, (object.id, &self.paths[&object.id]), (frame, now), (side, 1))?;
         }
         for track in &self.results.trajectories.ground_tracks {
             if self.ground_track(track.id, frame.id).is_none() {
                 continue;
             }
             let Ok(now) = track.positions.binary_search_by_key(&frame.id, |at| at.frame) else { continue };
-            let way: Vec<_> = track.positions.iter().map(|at| Point3::from(at.position)).collect();
-            self.draw_way(&mut canvas, (track.id, &way), (frame, now), (side, 2))?;
+            let path: Vec<_> = track.positions.iter().map(|at| Point3::from(at.position)).collect();
+            self.draw_path(&mut canvas, (track.id, &path), (frame, now), (side, 2))?;
         }
         let mut ground = canvas.finish()?;
         put_in_front(&mut ground, picture, masks);
         let borrowed: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
         let mut canvas = Canvas::new(&overlay(&ground, &borrowed))?;
-        // Height of a capital letter, as a share of the picture's shorter side.
+        // Height of a capital letter, as a share of the image's shorter side.
         let capital_px = (0.021 * side).max(7.0);
         self.draw_labels(&mut canvas, frame, masks, capital_px)?;
         let lower_left = Point2::new(0.0, f64::from(picture.height()));
@@ -113,7 +113,7 @@ impl<'a> Annotator<'a> {
         Ok(canvas.finish()?)
     }
 
-    /// A label above each mask, those of the lowest first; one that would cover another is moved above it.
+    /// Draws a label above each mask, the lowest first; a label that would overlap another is moved above it.
     fn draw_labels(
         &self,
         canvas: &mut Canvas,
@@ -128,7 +128,7 @@ impl<'a> Annotator<'a> {
             let text = self.label(id, frame.id);
             let mut lower_left = Point2::new(f64::from(found.x0), f64::from(found.y0) - 0.3 * capital_px);
             let mut plate = canvas.plate(&text, lower_left, capital_px)?;
-            // As often as there are plates, each of which is passed once at most.
+            // One attempt per plate: each moves the label up at most once.
             for _ in 0..plates.len() {
                 let Some(other) = plates.iter().find(|other| plate.overlaps(other)) else { break };
                 lower_left.y = other.top;
@@ -140,19 +140,19 @@ impl<'a> Annotator<'a> {
         Ok(())
     }
 
-    /// The way of a vehicle that has a place in the frame, of which it is the `now`-th.
+    /// Draws the path of a vehicle whose `now`-th position is in the frame.
     ///
-    /// * `every` – pieces from one that is drawn to the next: 2 for a dashed line.
-    fn draw_way(
+    /// * `every` – step between drawn segments: 2 for a dashed line.
+    fn draw_path(
         &self,
         canvas: &mut Canvas,
-        (id, way): (ObjectId, &[Point3<f64>]),
+        (id, path): (ObjectId, &[Point3<f64>]),
         (frame, now): (&Frame, usize),
         (side, every): (f64, usize),
     ) -> Result<(), ExportError> {
         let Some(view) = self.views.get(frame.name.as_str()) else { return Ok(()) };
-        let in_camera: Vec<_> = way.iter().map(|point| view.cam_from_world * *point).collect();
-        // Share of the vehicle's distance: lines closer to the camera's center run through the picture.
+        let in_camera: Vec<_> = path.iter().map(|point| view.cam_from_world * *point).collect();
+        // Share of the vehicle's distance: lines closer to the camera's center would cross the image.
         let nearest = 0.02 * in_camera[now].z.max(0.0);
         let colour = object_colour(id);
         for (index, ends) in in_camera.windows(2).enumerate().step_by(every) {
@@ -170,7 +170,7 @@ impl<'a> Annotator<'a> {
         self.results.trajectories.objects.iter().find(|object| object.id == id)
     }
 
-    /// Returns true if a trajectory is drawn: all but rejected ones of vehicles with a ground track.
+    /// Returns true if a trajectory is drawn: all except rejected ones of vehicles with a ground track.
     fn is_shown(&self, object: &ObjectTrajectory) -> bool {
         !object.is_ruled_out() || self.results.trajectories.ground_track(object.id).is_none()
     }
@@ -209,7 +209,7 @@ impl<'a> Annotator<'a> {
         raw_speed(poses, now).filter(|_| is_known).map(|speed| format!("{speed:.2} units/s"))
     }
 
-    /// `frame 12  0.40 s`, and what a question mark means where there is one.
+    /// `frame 12  0.40 s`, and the meaning of the question mark where there is one.
     fn time(&self, frame: &Frame, masks: &[(ObjectId, Mask)]) -> String {
         let is_ground = |id: ObjectId| self.ground_track(id, frame.id).is_some();
         let is_doubted = |(id, _): &(ObjectId, Mask)| {
@@ -230,16 +230,16 @@ fn km_h(motion: &Motion) -> String {
     format!("{} km/h", with_std(KM_H * motion.speed_m_s, KM_H * motion.speed_std_m_s))
 }
 
-/// Puts what the masks show in front of what was drawn on the ground.
+/// Restores the masked pixels over the drawing on the ground.
 fn put_in_front(drawn: &mut RgbImage, picture: &RgbImage, masks: &[(ObjectId, Mask)]) {
     for (x, y) in masks.iter().flat_map(|(_, mask)| mask.iter()) {
         drawn.put_pixel(x, y, *picture.get_pixel(x, y));
     }
 }
 
-/// The centres of a vehicle let down to the ground. A frame without a plane takes the one of the nearest frame that has
-/// one; without any the centres stay where they are.
-fn way_on_ground(results: &Results, object: &ObjectTrajectory) -> Vec<Point3<f64>> {
+/// The centers of a vehicle projected to the ground. A frame without a plane uses that of the nearest frame with one;
+/// without any plane the centers stay unchanged.
+fn path_on_ground(results: &Results, object: &ObjectTrajectory) -> Vec<Point3<f64>> {
     let planes: Vec<_> = match &results.ground {
         Some(ground) => ground.planes.iter().filter(|((id, _), _)| *id == object.id).collect(),
         None => Vec::new(),
@@ -259,14 +259,14 @@ mod tests {
     use crate::synthetic::showcase::{CAR, showcase};
 
     #[test]
-    fn the_way_lies_on_the_ground_and_the_car_has_a_speed() {
+    fn path_is_on_the_ground_and_the_car_has_a_speed() {
         let found = showcase(12, 1);
         let results = with_metres(results_of(&found));
         let annotator = Annotator::new(&results);
         let object = &results.trajectories.objects[0];
         let frame = found.frames.iter().find(|frame| frame.id == object.poses[4].frame).unwrap();
         let plane = results.ground.as_ref().unwrap().planes[&(CAR, frame.id)];
-        assert!(plane.signed_distance(annotator.ways[&CAR][4]).abs() < 1e-9);
+        assert!(plane.signed_distance(annotator.paths[&CAR][4]).abs() < 1e-9);
         assert!(plane.signed_distance(Point3::from(object.poses[4].position)) > 0.1);
         assert_eq!(annotator.label(CAR, frame.id), "1 car 28.8 ± 1.4 km/h");
         assert_eq!(annotator.label(ObjectId(9), frame.id), "9");
@@ -275,13 +275,13 @@ mod tests {
         let drawn = annotator.draw(&picture, frame, &masks).unwrap();
         let tinted = overlay(&picture, &[(CAR, &masks[0].1)]);
         let is_in_front = |(x, y)| drawn.get_pixel(x, y) == tinted.get_pixel(x, y);
-        assert!(masks[0].1.iter().all(is_in_front), "the way lies below the car");
+        assert!(masks[0].1.iter().all(is_in_front), "the path is drawn behind the car");
         let changed = drawn.pixels().zip(picture.pixels()).filter(|(a, b)| a != b).count();
         assert!(changed > 2000 && changed < 960 * 540 / 2, "{changed}");
     }
 
     #[test]
-    fn without_metres_speeds_are_units_and_ways_that_are_wrong_are_called_so() {
+    fn speeds_without_meters_are_in_units_and_rejected_trajectories_are_labeled() {
         let found = showcase(12, 1);
         let results = results_of(&found);
         let annotator = Annotator::new(&results);

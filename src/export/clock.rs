@@ -3,7 +3,7 @@
 use crate::scene::{ClockZone, Dates, Metric, TimeBase};
 use crate::telemetry;
 
-/// Times of a result for other programs.
+/// Conversion of a result's times for other programs.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Clock {
     time_base: TimeBase,
@@ -11,15 +11,15 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Of a result.
+    /// The clock of a result.
     pub fn of(metric: Option<&Metric>, time_base: TimeBase) -> Self {
         let dates = metric.and_then(|metric| metric.dates.clone());
-        // Numbers of frames are no seconds: then only photographs have dates.
+        // Frame numbers are not seconds: then only photographs have dates.
         let dates = dates.filter(|dates| time_base == TimeBase::Seconds || !dates.images.is_empty());
         Self { time_base, dates }
     }
 
-    /// Returns true if times are seconds; otherwise no rate was stated, and they are numbers of frames.
+    /// Returns true if times are seconds; otherwise the rate is unknown, and they are frame numbers.
     pub fn has_seconds(&self) -> bool {
         self.time_base == TimeBase::Seconds
     }
@@ -32,7 +32,7 @@ impl Clock {
         images.get(image).cloned().or_else(by_start)
     }
 
-    /// The same for a format that knows nothing but dates: counted from 1970 where none is known.
+    /// The same for a format that supports dates only: counted from 1970 where none is known.
     pub fn date_or_since_1970(&self, image: &str, time_s: f64) -> String {
         let known = self.date(image, time_s).or_else(|| telemetry::date(time_s, true));
         known.unwrap_or_else(|| "1970-01-01T00:00:00Z".to_owned())
@@ -44,7 +44,7 @@ impl Clock {
         dates.start_s
     }
 
-    /// The clock in a sentence.
+    /// Description of the clock in a sentence.
     pub(super) fn in_words(&self) -> &'static str {
         match (self.dates.as_ref().map(|dates| dates.zone), self.time_base) {
             (Some(ClockZone::Utc), _) => "Times are UTC.",

@@ -1,7 +1,7 @@
-//! Crossings of lines, and visits of zones, that a user drew: counts, speeds and headways with their uncertainty.
+//! Crossings of user-defined lines and visits of zones: counts, speeds and headways with their uncertainty.
 //!
 //! Paths are the smoothed positions of all trajectories that are not rejected. A crossing has the time and speed
-//! interpolated between two frames. Its time is as uncertain as the position along the path: σ_t = σ_s / v.
+//! interpolated between two frames. Its σ follows from that of the position along the path: σ_t = σ_s / v.
 
 use nalgebra::{Matrix2, Point2, Vector2};
 use schemars::JsonSchema;
@@ -18,11 +18,11 @@ use crate::telemetry::{Geodetic, LocalFrame};
 pub struct Gate {
     /// Name: the property `name` of its feature, else its number.
     pub name: String,
-    /// Shape.
+    /// Geometry.
     pub shape: Shape,
 }
 
-/// Shape of a gate.
+/// Geometry of a gate.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Shape {
     /// A line of two or more points.
@@ -31,7 +31,7 @@ pub enum Shape {
     Zone(Vec<Point2<f64>>),
 }
 
-/// Direction of a crossing, seen along the line from its first to its last point.
+/// Direction of a crossing relative to the line from its first to its last point.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, JsonSchema)]
 #[serde(rename_all = "kebab-case")]
 pub enum Direction {
@@ -41,7 +41,7 @@ pub enum Direction {
     ToLeft,
 }
 
-/// A vehicle crosses a line.
+/// Crossing of a line by a vehicle.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Crossing {
     /// Name of the line.
@@ -56,15 +56,15 @@ pub struct Crossing {
     pub direction: Direction,
     /// Time of the video, seconds.
     pub time_s: Estimate,
-    /// Speed there.
+    /// Speed at the crossing.
     pub speed_m_s: Estimate,
-    /// Seconds since the crossing of the same line in the same direction before.
+    /// Seconds since the previous crossing of the same line in the same direction.
     pub headway_s: Option<Estimate>,
-    /// Distance from the nearer end of the line, meters; a crossing within its deviation may have missed the line.
+    /// Distance from the nearer end of the line, meters; a crossing within its σ may have missed the line.
     pub from_end_m: Estimate,
 }
 
-/// A vehicle is in a zone.
+/// Visit of a zone by a vehicle.
 #[derive(Clone, Debug, PartialEq, Serialize, JsonSchema)]
 pub struct Visit {
     /// Name of the zone.
@@ -79,7 +79,7 @@ pub struct Visit {
     pub entry_s: Option<f64>,
     /// Time of its exit; `None` if its path ends inside.
     pub exit_s: Option<f64>,
-    /// Seconds inside, as far as seen.
+    /// Observed seconds inside.
     pub duration_s: f64,
     /// Mean speed inside.
     pub mean_speed_m_s: f64,
@@ -109,7 +109,7 @@ struct Sample {
 /// georeferenced, else x and y of the metric frame.
 ///
 /// # Errors
-/// The feature that is no line and no polygon, in words.
+/// Description of the feature that is neither a line nor a polygon.
 pub fn gates(document: &Value, results: &Results) -> Result<Vec<Gate>, String> {
     let features = document["features"].as_array().ok_or("not a GeoJSON FeatureCollection")?;
     let found: Result<Vec<Gate>, String> =
@@ -190,12 +190,12 @@ fn samples(object: &ObjectTrajectory) -> Vec<Sample> {
     motions(object).map(sample).collect()
 }
 
-/// Where the way from `from` to `to` meets the line from `a` to `b`: shares of both.
+/// Intersection of the step from `from` to `to` with the line from `a` to `b`, as shares of both.
 fn meeting(from: Point2<f64>, to: Point2<f64>, a: Point2<f64>, b: Point2<f64>) -> Option<(f64, f64)> {
     let (way, line) = (to - from, b - a);
     let shares = Matrix2::from_columns(&[way, -line]).lu().solve(&(a - from))?;
     let (t, u) = (shares.x, shares.y);
-    // A way that ends on the line has not crossed it yet: the next one has.
+    // A step that ends on the line has not crossed it yet; the next step has.
     ((0.0..1.0).contains(&t) && (0.0..=1.0).contains(&u)).then_some((t, u))
 }
 
@@ -302,7 +302,7 @@ mod tests {
     use crate::export::testing::{results, with_metres};
     use crate::scene::MetricAxes;
 
-    /// The showcase in meters without a map; its first vehicle on a straight way along x at 8 m/s.
+    /// The showcase in meters without a map; its first vehicle moves straight along x at 8 m/s.
     fn straight() -> Results {
         let mut results = with_metres(results());
         let frame = results.trajectories.metric.as_mut().and_then(|metric| metric.frame.as_mut()).unwrap();
@@ -377,7 +377,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_gate_is_refused_by_its_number() {
+    fn invalid_gate_is_refused_by_its_number() {
         let results = straight();
         let refusal = |geometry: Value| gates(&collection(&geometry), &results).unwrap_err();
         assert!(refusal(json!({ "type": "Point", "coordinates": [1, 2] })).starts_with("feature 1: Point"));

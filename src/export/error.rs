@@ -1,4 +1,4 @@
-//! Why something cannot be exported.
+//! Errors of exports.
 
 use std::path::PathBuf;
 
@@ -7,22 +7,22 @@ use crate::image::ImageError;
 use crate::io::{FolderError, IoError};
 use crate::video::VideoError;
 
-/// Why something cannot be exported.
+/// Error of an export.
 #[derive(Debug, thiserror::Error)]
 pub enum ExportError {
-    /// A file that is read or written.
+    /// Access to a file failed.
     #[error(transparent)]
     Io(#[from] IoError),
-    /// The folder that is written into.
+    /// The target folder is unusable.
     #[error(transparent)]
     Folder(#[from] FolderError),
-    /// The pictures.
+    /// Access to the input's images failed.
     #[error(transparent)]
     Video(#[from] VideoError),
-    /// A picture.
+    /// An image cannot be processed.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// There is no result.
+    /// The folder has no result.
     #[error("{}: not an output folder of `tractrix run` or `tractrix sfm` with a result", path.display())]
     NoResult {
         /// The folder.
@@ -54,7 +54,7 @@ pub enum ExportError {
         /// Why.
         reason: String,
     },
-    /// The input is no longer the one that the results are of.
+    /// The input does not match the results.
     #[error(
         "{}: does not match the video of these results ({problem}); give the right video or folder with --input",
         path.display()

@@ -7,7 +7,7 @@ use crate::scene::{
     Dimensions, Estimate, FrameId, GroundTrack, ObjectId, ObjectPose, ObjectTrajectory, Position, TimeBase, Travel,
 };
 
-/// A vehicle's way in a few figures.
+/// Summary figures of a vehicle's trajectory.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Facts {
     /// The vehicle.
@@ -20,36 +20,36 @@ pub struct Facts {
     pub verdict: Option<&'static str>,
     /// Strongest evidence against it.
     pub doubt: Option<String>,
-    /// Frames with a place.
+    /// Number of frames with a position.
     pub num_frames: usize,
-    /// The first one.
+    /// The first frame.
     pub first_frame: Option<FrameId>,
-    /// The last one.
+    /// The last frame.
     pub last_frame: Option<FrameId>,
-    /// Time of the first one, seconds; `None` where no times are known.
+    /// Time of the first frame, seconds; `None` where times are unknown.
     pub first_time_s: Option<f64>,
-    /// Time of the last one.
+    /// Time of the last frame, seconds.
     pub last_time_s: Option<f64>,
-    /// From the first to the last, seconds.
+    /// Duration from the first frame to the last, seconds.
     pub duration_s: Option<f64>,
-    /// Path length, units of the background; this and what follows as in [`Travel`](crate::scene::Travel).
+    /// Path length, units of the background; this and the fields below as in [`Travel`](crate::scene::Travel).
     pub path_units: Option<f64>,
     /// Its standard deviation.
     pub path_std_units: Option<f64>,
-    /// Path length, metres.
+    /// Path length, meters.
     pub path_m: Option<Estimate>,
-    /// Displacement, metres.
+    /// Displacement, meters.
     pub displacement_m: Option<Estimate>,
     /// Mean speed.
     pub mean_speed_m_s: Option<Estimate>,
-    /// Greatest speed.
+    /// Maximum speed.
     pub max_speed_m_s: Option<Estimate>,
     /// Size.
     pub dimensions: Dimensions,
 }
 
 impl Facts {
-    /// Of a trajectory.
+    /// Facts of a vehicle with a trajectory.
     pub fn of(object: &ObjectTrajectory, time_base: TimeBase) -> Self {
         let verdict = object.verdict.as_ref();
         Self {
@@ -63,7 +63,7 @@ impl Facts {
         }
     }
 
-    /// Of a ground track; the verdict is in words of its own, and the doubt its reason.
+    /// Facts of a ground track; it has verdict words of its own, and the doubt is its reason.
     pub fn of_ground_track(track: &GroundTrack, time_base: TimeBase) -> Self {
         Self {
             vehicle: track.id,
@@ -76,7 +76,7 @@ impl Facts {
         }
     }
 
-    /// Properties that follow from the positions and the travel.
+    /// Properties derived from the positions and the travel.
     fn along<'a, T>(positions: &'a [T], travel: Option<Travel>, time_base: TimeBase) -> Self
     where
         Position<'a>: From<&'a T>,
@@ -102,8 +102,8 @@ impl Facts {
     }
 }
 
-/// The speed in one frame from its neighbours' positions, units of the background per second; `None` where no time
-/// passes between them.
+/// The speed in one frame from its neighbors' positions, units of the background per second; `None` where their
+/// times coincide.
 pub(super) fn raw_speed(poses: &[ObjectPose], index: usize) -> Option<f64> {
     let before = &poses[index.saturating_sub(1)];
     let after = poses.get(index + 1).unwrap_or(&poses[index]);

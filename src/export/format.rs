@@ -1,38 +1,38 @@
-//! The formats by name, and what each needs.
+//! Export formats by name, and their requirements.
 
 use std::fmt;
 use std::str::FromStr;
 
 use super::{ExportError, Results};
 
-/// A format, or a set of files that belong together; in the order in which they are written.
+/// An export format of one or several files; in the order of writing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Format {
     /// Tables: vehicles, vehicles frame by frame, the camera.
     Csv,
-    /// Ways and places on the map.
+    /// Georeferenced trajectories and positions.
     GeoJson,
-    /// Ways on a globe, with times.
+    /// Trajectories on a globe, with times.
     Kml,
-    /// The camera's way.
+    /// The camera's trajectory.
     Gpx,
-    /// Poses in TUM's form.
+    /// Poses in TUM's format.
     Tum,
-    /// Poses in KITTI's form.
+    /// Poses in KITTI's format.
     Kitti,
-    /// The scene in motion.
+    /// The animated scene.
     Gltf,
-    /// The video with what was found drawn into it.
+    /// The video with the results drawn into it.
     Video,
     /// Floating car data of SUMO.
     Sumo,
-    /// Tables in the form of levelXData.
+    /// Tables in the format of levelXData.
     LevelX,
     /// Events of Cursor on Target.
     Cot,
-    /// Pictures, masks and the background's model, ready for COLMAP's densification.
+    /// Images, masks and the background's model, ready for COLMAP's densification.
     Colmap,
-    /// `trajectories.json` with the keys and words of version 2, for scripts written for it. Only by name.
+    /// `trajectories.json` with the keys and words of version 2, for scripts written for it; only by name.
     TrajectoriesV2,
 }
 
@@ -55,13 +55,13 @@ with_names!(Format {
 /// Requirement of a format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Need {
-    /// Nothing but the output folder.
+    /// Only the output folder.
     Nothing,
     /// Meters and times.
     Meters,
-    /// A place on the map.
+    /// Georeferenced positions.
     Map,
-    /// The pictures of the input.
+    /// The images of the input.
     Pictures,
 }
 
@@ -76,17 +76,17 @@ impl Format {
         }
     }
 
-    /// Returns true if it can be made of cameras and points alone.
+    /// Returns true if cameras and points suffice.
     fn is_of_models(self) -> bool {
         matches!(self, Self::Tum | Self::Kitti | Self::Gltf | Self::Colmap)
     }
 
-    /// Returns true if its rows can be at other times than those of the frames.
+    /// Returns true if its rows can be resampled to other times than those of the frames.
     pub fn is_sampled(self) -> bool {
         !matches!(self, Self::Gltf | Self::Video | Self::Colmap | Self::TrajectoriesV2)
     }
 
-    /// Why it cannot be made of these results, if that is so.
+    /// Reason why these results do not support the format, if any.
     pub fn obstacle(self, results: &Results) -> Option<ExportError> {
         let obstacle = |text: &str| Some(ExportError::Obstacle(format!("--format {self}: {text}")));
         match self {
@@ -111,10 +111,10 @@ impl Format {
         }
     }
 
-    /// The formats that a list names: names with commas between them, or `all`.
+    /// Parses a comma-separated list of format names, or `all`.
     ///
     /// # Errors
-    /// Which name is none of them, and which there are.
+    /// The unknown name, and the list of known ones.
     pub fn listed(list: &str) -> Result<Vec<Self>, String> {
         if list.trim() == "all" {
             return Ok(Self::ALL.into_iter().filter(|format| *format != Self::TrajectoriesV2).collect());

@@ -1,7 +1,7 @@
-//! GeoJSON (RFC 7946): longitude, latitude and, where heights are absolute ones, height, on WGS 84.
+//! GeoJSON (RFC 7946): longitude, latitude and, where heights are absolute, height, on WGS 84.
 //!
-//! The format has no place for times. `coordTimes` is what converters from GPX and KML call them: one per coordinate,
-//! next to the geometry.
+//! The format has no field for times. `coordTimes`, one per coordinate next to the geometry, is the convention of
+//! converters from GPX and KML.
 
 use std::path::Path;
 
@@ -12,31 +12,31 @@ use super::{Clock, ExportError, Facts, Results};
 use crate::io::atomic;
 use crate::scene::{GroundTrack, MapPlace, MetricPose, Position};
 
-/// Kinds of the features of ground tracks: their ways and places, and the footprints of vehicles at rest.
+/// Kinds of the features of ground tracks: trajectories, positions, and footprints of stationary vehicles.
 const GROUND_TRACK: &str = "ground-track";
 const FOOTPRINT: &str = "footprint";
 
-/// The ways: one feature per vehicle, the footprint of each that is at rest, and one of the camera.
-pub(super) fn ways(path: &Path, results: &Results) -> Result<(), ExportError> {
+/// Writes the trajectories: one feature per vehicle, the footprint of each stationary one, and one of the camera.
+pub(super) fn write_trajectories(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| {
         let facts = Facts::of(object, results.time_base);
-        way(&results.fixes(&object.poses), results, &clock, vehicle_properties(&facts))
+        line_feature(&results.fixes(&object.poses), results, &clock, vehicle_properties(&facts))
     });
     let ground_tracks = results.trajectories.ground_tracks.iter().map(|track| {
         let properties = ground_track_properties(results, track);
-        way(&results.fixes(&track.positions), results, &clock, properties)
+        line_feature(&results.fixes(&track.positions), results, &clock, properties)
     });
     let footprints = results.trajectories.ground_tracks.iter().filter_map(|track| footprint(results, track));
-    let camera = way(&results.fixes(&results.views), results, &clock, properties(json!({ "kind": "camera" })));
+    let camera = line_feature(&results.fixes(&results.views), results, &clock, properties(json!({ "kind": "camera" })));
     Ok(atomic::write_json(
         path,
         &collection(results, vehicles.chain(ground_tracks).chain(footprints).chain([camera]).collect()),
     )?)
 }
 
-/// The places: one feature per vehicle and frame, and per frame of the camera.
-pub(super) fn places(path: &Path, results: &Results) -> Result<(), ExportError> {
+/// Writes the positions: one feature per vehicle and frame, and per frame of the camera.
+pub(super) fn write_positions(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let mut features = Vec::new();
     for object in &results.trajectories.objects {
@@ -61,7 +61,7 @@ fn vehicle_at(results: &Results, clock: &Clock, who: &Value, fix: &Fix) -> Value
     point(results, &fix.place, joined(who.clone(), more))
 }
 
-/// The footprint of a vehicle at rest; `None` where it has none, or lies on the 180th meridian.
+/// The footprint of a stationary vehicle; `None` where it has none, or crosses the 180th meridian.
 fn footprint(results: &Results, track: &GroundTrack) -> Option<Value> {
     let corners = track.footprint(results.trajectories.metric.as_ref()?.frame.as_ref()?)?;
     let places: Vec<MapPlace> = corners.into_iter().filter_map(|corner| results.place(corner)).collect();
@@ -84,8 +84,8 @@ fn point(results: &Results, place: &MapPlace, properties: Map<String, Value>) ->
     json!({ "type": "Feature", "geometry": geometry, "properties": results.units.properties(properties) })
 }
 
-/// A line needs two places, and none may cross the 180th meridian (RFC 7946, section 3.1.9): there it is cut.
-fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<String, Value>) -> Value {
+/// Splits a line at the 180th meridian (RFC 7946, section 3.1.9); a line needs two positions.
+fn line_feature(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<String, Value>) -> Value {
     let stays = |a: &Fix, b: &Fix| (a.place.longitude - b.place.longitude).abs() < 180.0;
     let pieces: Vec<&[Fix]> = fixes.chunk_by(stays).filter(|piece| piece.len() > 1).collect();
     let line = |piece: &[Fix]| piece.iter().map(|fix| coordinates(results, &fix.place)).collect::<Vec<_>>();
@@ -108,7 +108,7 @@ fn way(fixes: &[Fix], results: &Results, clock: &Clock, mut properties: Map<Stri
 }
 
 fn coordinates(results: &Results, place: &MapPlace) -> Vec<f64> {
-    // Nine decimals of a degree are a tenth of a millimetre.
+    // Nine decimals of a degree are a tenth of a millimeter.
     let mut numbers = vec![rounded(place.longitude, 1e9), rounded(place.latitude, 1e9)];
     if results.knows_height() {
         numbers.push(rounded(place.height_m, 1e4));
@@ -172,7 +172,7 @@ pub(super) fn vehicle_properties(facts: &Facts) -> Map<String, Value> {
     }))
 }
 
-/// Properties of a ground track: those of a vehicle that it has, and its method.
+/// Properties of a ground track: the vehicle's properties that it has, and its method.
 fn ground_track_properties(results: &Results, track: &GroundTrack) -> Map<String, Value> {
     let mut all = vehicle_properties(&Facts::of_ground_track(track, results.time_base));
     all.remove("doubt");
@@ -213,9 +213,9 @@ mod tests {
     }
 
     #[test]
-    fn ways_are_lines_with_times_and_places_are_points() {
+    fn trajectories_are_lines_with_times_and_positions_are_points() {
         let results = with_metres(results());
-        let features = read(ways, &results);
+        let features = read(write_trajectories, &results);
         assert_eq!(features.len(), 3);
         let poses = &results.trajectories.objects[0].poses;
         let (geometry, properties) = (&features[0]["geometry"], &features[0]["properties"]);
@@ -225,7 +225,7 @@ mod tests {
         let place = poses[0].metric.unwrap().place.unwrap();
         assert!((geometry["coordinates"][0][0].as_f64().unwrap() - place.longitude).abs() < 1e-9);
         assert!((geometry["coordinates"][0][2].as_f64().unwrap() - place.height_m).abs() < 1e-4);
-        let points = read(places, &results);
+        let points = read(write_positions, &results);
         let count: usize = results.trajectories.objects.iter().map(|object| object.poses.len()).sum();
         assert_eq!(points.len(), count + results.views.len());
         assert_eq!(points[0]["properties"]["speed_m_s"], 8.0);
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn vehicles_at_rest_have_footprints() {
+    fn stationary_vehicles_have_footprints() {
         let mut results = with_metres(results());
         let pose = &results.trajectories.objects[0].poses[0];
         let position = GroundPosition {
@@ -253,7 +253,7 @@ mod tests {
         };
         let moving = GroundTrack { axis_deg: None, ..track.clone() };
         results.trajectories.ground_tracks = vec![track, moving];
-        let features = read(ways, &results);
+        let features = read(write_trajectories, &results);
         let shapes: Vec<&Value> = features.iter().filter(|found| found["properties"]["kind"] == FOOTPRINT).collect();
         let [shape] = shapes[..] else { panic!("{shapes:?}") };
         assert_eq!((&shape["geometry"]["type"], &shape["properties"]["vehicle"]), (&"Polygon".into(), &7.into()));
@@ -277,14 +277,15 @@ mod tests {
     }
 
     #[test]
-    fn lines_are_cut_where_longitudes_jump_and_one_place_is_a_point() {
+    fn lines_are_split_at_the_180th_meridian_and_a_single_position_is_a_point() {
         let results = with_metres(results());
         let fix = |longitude: f64| Fix {
             at: Position { time_s: longitude, ..Position::from(&results.views[0]) },
             place: MapPlace { longitude, latitude: -17.0, height_m: 3.0, place_std_m: [1.0; 3] },
         };
-        let geometry =
-            |fixes: &[Fix]| way(fixes, &results, &Clock::of(None, crate::scene::TimeBase::Seconds), Map::new());
+        let geometry = |fixes: &[Fix]| {
+            line_feature(fixes, &results, &Clock::of(None, crate::scene::TimeBase::Seconds), Map::new())
+        };
         let cut = geometry(&[fix(179.8), fix(179.9), fix(-179.9), fix(-179.8)]);
         assert_eq!(cut["geometry"]["type"], "MultiLineString");
         assert_eq!(cut["properties"]["coordTimes"], json!([[179.8, 179.9], [-179.9, -179.8]]));

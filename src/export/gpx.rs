@@ -1,12 +1,12 @@
-//! GPX 1.1: the camera's way as one track. It has times where dates are known, and heights where they are absolute
-//! ones.
+//! GPX 1.1: the camera's trajectory as one track, with times where dates are known and heights where they are
+//! absolute.
 
 use std::path::Path;
 
 use super::xml::{self, Xml, element};
 use super::{ExportError, Results};
 
-/// Writes the camera's way.
+/// Writes the camera's trajectory.
 pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
     let attributes = [("version", "1.1"), ("creator", "tractrix"), ("xmlns", "http://www.topografix.com/GPX/1/1")];
     xml::write(path, "gpx", &attributes, |xml| {
@@ -40,7 +40,7 @@ mod tests {
     use crate::export::testing::{results, with_metres};
 
     #[test]
-    fn what_is_written_is_read_as_telemetry() {
+    fn written_track_is_read_as_telemetry() {
         let results = with_metres(results());
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("camera.gpx");

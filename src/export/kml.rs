@@ -1,8 +1,8 @@
-//! KML 2.2 with Google's `gx:Track`: a place for each time, which Google Earth plays.
+//! KML 2.2 with Google's `gx:Track`: a position per time, which Google Earth animates.
 //!
-//! KML knows dates alone. Where none are known, times count from the first of January 1970, and the description says
-//! so. Vehicles are laid on the ground of the globe, since its ground is not that of the reconstruction; the camera
-//! stands at its height.
+//! KML supports absolute dates only. Where none are known, times count from 1 January 1970, and the description notes
+//! it. Vehicles are clamped to the globe's ground, which differs from that of the reconstruction; the camera keeps its
+//! height.
 
 use std::path::Path;
 
@@ -25,7 +25,7 @@ struct Track<'a> {
     fixes: Vec<Fix<'a>>,
 }
 
-/// Writes the ways of vehicles and camera.
+/// Writes the trajectories of the vehicles and the camera.
 pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
     let clock = results.clock();
     let vehicles = results.trajectories.objects.iter().map(|object| vehicle(results, object));
@@ -44,7 +44,7 @@ pub(super) fn write(path: &Path, results: &Results) -> Result<(), ExportError> {
 
 fn vehicle<'a>(results: &Results, object: &'a ObjectTrajectory) -> Track<'a> {
     let facts = Facts::of(object, results.time_base);
-    // Of a rejected trajectory a speed would be taken for one.
+    // A rejected trajectory's speed would be taken for a valid one.
     let speed = facts
         .mean_speed_m_s
         .filter(|_| !object.is_ruled_out())
@@ -101,7 +101,7 @@ fn placemark(xml: &mut Xml, track: &Track, clock: &Clock) -> std::io::Result<()>
         element(xml, "description", &track.description)?;
         xml.create_element("Style").write_inner_content(|xml| {
             xml.create_element("LineStyle").write_inner_content(|xml| {
-                // KML has the opacity first, and red last.
+                // KML color order: opacity first, red last.
                 element(xml, "color", &format!("ff{b:02x}{g:02x}{r:02x}"))?;
                 element(xml, "width", track.width)
             })?;
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn every_track_has_as_many_times_as_places() {
+    fn every_track_has_as_many_times_as_positions() {
         let mut results = with_metres(results());
         results.title = "a <b> & \u{1}".into();
         let found = text(write, &results);

@@ -1,11 +1,12 @@
-//! Results in the files that other programs open: tables, maps, poses, scenes, a video, a workspace of COLMAP's.
+//! Export of results to formats of other programs: tables, maps, poses, scenes, a video, a COLMAP workspace.
 //!
-//! [`Results`] is what an output folder holds, read once; each format is written from it alone, by a module of its own.
-//! [`write()`] puts what was asked for into a [`Target`]: the folder `export/` of the output folder, or a folder of its
-//! own. Files appear whole or not at all, and nothing is replaced that the program did not write.
+//! [`Results`] is the content of an output folder, read once; each format is written from it alone, by its own module.
+//! [`write()`] writes the requested formats into a [`Target`]: the folder `export/` of the output folder, or a separate
+//! folder. Files are written atomically, and files of other programs are never replaced.
 //!
-//! Lengths are metres where they are known, else units of the background's reconstruction, and every file says which.
-//! What needs a place on the map ([`Need::Map`]) is refused without one. `docs/export.md` describes every format.
+//! Lengths are meters where they are known, else units of the background's reconstruction; every file states the unit.
+//! Formats that need georeferenced positions ([`Need::Map`]) are refused without them. `docs/export.md` describes every
+//! format.
 
 mod annotate;
 mod clock;

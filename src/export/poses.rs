@@ -1,8 +1,8 @@
-//! Poses in the forms of TUM and KITTI (`io::camera_path` reads both): the camera, and each vehicle.
+//! Poses in the formats of TUM and KITTI (`io::camera_path` reads both): the camera, and each vehicle.
 //!
 //! The camera's pose is `world_from_camera`, with axes x right, y down, z forward. A vehicle's is that of its model:
-//! the position is its centre, the axes are those of its model, which are the same in every frame and point anywhere.
-//! World and unit are those of the exports; `about.txt` says which, and TUM's files say it themselves.
+//! the position is its center, the axes are those of its model, which are body-fixed with arbitrary orientation. World
+//! and unit are those of the exports; `about.txt` states them, as do the headers of TUM's files.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -14,13 +14,13 @@ use crate::io::{ExportFolder, atomic};
 use crate::math::{Rigid3, Sim3};
 use crate::scene::TimeBase;
 
-/// Where something is at a time.
+/// A pose at a time.
 struct Pose {
     time_s: f64,
     world_from_body: Rigid3,
 }
 
-/// The camera and the vehicles, each by the stem of its file.
+/// The poses of the camera and the vehicles by file stem.
 fn bodies(results: &Results) -> Vec<(String, Vec<Pose>)> {
     let export_from_world = results.export_from_world();
     let camera = results.views.iter().map(|view| {
@@ -42,7 +42,7 @@ fn pose(export_from_world: &Sim3, time_s: f64, world_from_body: UnitQuaternion<f
     Pose { time_s, world_from_body: Rigid3::new(rotation, (*export_from_world * position).coords) }
 }
 
-/// A file per body: time, position, quaternion with its scalar last.
+/// Writes a file per body: time, position, quaternion with its scalar last.
 pub(super) fn write_tum(folder: &Path, results: &Results) -> Result<(), ExportError> {
     for (stem, poses) in bodies(results) {
         let mut text = format!("# {}\n# timestamp tx ty tz qx qy qz qw\n", frame_in_words(results));
@@ -56,7 +56,7 @@ pub(super) fn write_tum(folder: &Path, results: &Results) -> Result<(), ExportEr
     Ok(())
 }
 
-/// Two files per body: the upper 3 × 4 of the matrix, row by row, and the times, line by line.
+/// Writes two files per body: the upper 3 × 4 of the matrix, row by row, and the times, line by line.
 pub(super) fn write_kitti(folder: &Path, results: &Results) -> Result<(), ExportError> {
     for (stem, poses) in bodies(results) {
         let rows: String = poses.iter().map(|pose| row(&pose.world_from_body.matrix())).collect();
@@ -89,7 +89,7 @@ mod tests {
     use crate::scene::ImageId;
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn written_poses_are_read_back() {
         for results in [results(), with_metres(results())] {
             let folder = tempfile::tempdir().unwrap();
             write_tum(folder.path(), &results).unwrap();

@@ -1,10 +1,10 @@
-//! Exports of real output folders, to be opened by other programs (`scripts/benchmark/check_exports.py`).
+//! Exports of real output folders for tests with other programs (`scripts/benchmark/check_exports.py`).
 
 use super::{Format, MissingFormats, Pictures, Results, Target, write};
 use crate::io::RunFolder;
 use crate::video::{Options, Source};
 
-/// Writes every format of the output folder that the environment names into the folder next to it.
+/// Writes the output folder named by the environment in every format, into the folder next to it.
 #[test]
 #[ignore = "needs TRACTRIX_OUTPUT, the output folder of a run whose input is where it was"]
 fn every_format_of_a_run_is_written() {

@@ -15,19 +15,19 @@ use crate::scene::{
     ContactError, Frame, GroundPosition, MapPlace, MetricPose, Motion, ObjectPose, ObjectTrajectory, Trajectories,
 };
 
-/// Longest step between two frames of one stretch, in median steps of the camera's frames: one missing frame is
-/// bridged, also where a time stamp is rounded; two are a gap.
+/// Maximum step between two frames without a gap, in median steps of the camera's frames: one missing frame is bridged,
+/// even with a rounded time stamp; two are a gap.
 const MAX_STEP: f64 = 2.5;
 
-/// Rates that are accepted, per second: below, a sample is farther from the next than any clip is long; above, tables
-/// have thousands of rows for every frame.
+/// Accepted rates, per second: below, the step exceeds the length of any clip; above, tables have thousands of rows per
+/// frame.
 pub const RATES: RangeInclusive<f64> = 0.001..=1000.0;
 
-/// Most samples of one object: an hour at the highest rate. More would fill the memory.
+/// Maximum number of samples of one object: an hour at the highest rate. More would exhaust the memory.
 const MAX_SAMPLES: f64 = 3.6e6;
 
 impl Results {
-    /// Results with positions of vehicles and camera at `rate` samples per second; `None` if these would be too many.
+    /// Results with positions of vehicles and camera at `rate` samples per second; `None` if there were too many.
     /// Frame, image and intrinsics of a sample are those of the nearer frame.
     pub fn resampled(&self, rate: f64) -> Option<Self> {
         let step = self.median_step().unwrap_or(0.0);
@@ -48,21 +48,21 @@ impl Results {
     }
 }
 
-/// A moment between two samples.
+/// A time between two samples.
 struct Moment {
     time_s: f64,
     /// Weight of the second sample, 0 to 1.
     weight: f64,
 }
 
-/// The times of samples.
+/// The times of resampled positions.
 struct Grid {
     rate: f64,
     max_gap_s: f64,
 }
 
 impl Grid {
-    /// Samples at the times of the grid that are within a stretch.
+    /// Samples at the grid times within a gap-free stretch.
     fn resampled<T>(
         &self,
         samples: &[T],
@@ -77,7 +77,7 @@ impl Grid {
         for stretch in samples.chunk_by(|a, b| time(b) - time(a) <= self.max_gap_s) {
             let end = time(&stretch[stretch.len() - 1]);
             // A frame at 0.4 s is at the fourth tenth of a second, although 0.4 · 10 is a little more than 4.
-            // Plus zero: no time is written as -0.
+            // Plus zero, which avoids a time of -0.
             let mut index = (time(&stretch[0]) * self.rate - ROUNDING).ceil() + 0.0;
             let mut after = 1;
             while index - ROUNDING <= end * self.rate {
@@ -96,7 +96,7 @@ impl Grid {
     }
 }
 
-/// Share of a step by which a frame may miss a time of the grid and still count as being there.
+/// Tolerance for a frame to coincide with a grid time, as a share of a step.
 const ROUNDING: f64 = 1e-6;
 
 impl Moment {
@@ -112,7 +112,7 @@ impl Moment {
         a.zip(b).map(|(a, b)| self.number(a, b))
     }
 
-    /// Degrees, the shorter way around, from `least` on.
+    /// Interpolates degrees along the shorter arc; the result's range starts at `least`.
     fn angle_deg(&self, a: f64, b: f64, least: f64) -> f64 {
         let turn = (b - a + 180.0).rem_euclid(360.0) - 180.0;
         (a + self.weight * turn - least).rem_euclid(360.0) + least
@@ -201,7 +201,7 @@ fn view_between(a: &RegisteredFrame, b: &RegisteredFrame, at: &Moment) -> Regist
     }
 }
 
-/// Constant rate of turn; the nearer rotation where two are opposite, which no two neighboring frames are.
+/// Spherical linear interpolation; the nearer rotation where two are opposite, which no two neighboring frames are.
 fn slerp(a: &UnitQuaternion<f64>, b: &UnitQuaternion<f64>, weight: f64) -> UnitQuaternion<f64> {
     let nearer = if weight < 0.5 { a } else { b };
     a.try_slerp(b, weight, 1e-9).unwrap_or(*nearer)
@@ -226,7 +226,7 @@ mod tests {
             assert!((to_a + to_b - a.distance_to(b)).abs() < 1e-9, "on the line");
             let share = (pose.time_s - a.time_s) / (b.time_s - a.time_s);
             assert!((to_a - share * a.distance_to(b)).abs() < 1e-9, "linear in time");
-            // The center is where the similarity takes it.
+            // The center is transformed by the similarity.
             let center = a.world_from_object.inverse() * Point3::from(a.position);
             assert!((pose.world_from_object * center - Point3::from(pose.position)).norm() < 1e-9);
             assert_eq!(pose.metric.unwrap().motion.unwrap().speed_m_s, 8.0);
@@ -235,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn the_rate_of_the_video_gives_its_frames_again() {
+    fn resampling_at_the_frame_rate_reproduces_the_frames() {
         let results = with_metres(results());
         let found = results.resampled(15.0).unwrap();
         for (before, after) in results.trajectories.objects.iter().zip(&found.trajectories.objects) {

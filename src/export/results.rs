@@ -16,21 +16,21 @@ use crate::scene::{
 };
 use crate::telemetry::LocalFrame;
 
-/// Images per second of an input without times, as are 25 frames of one.
+/// Nominal rate of an input without times, images per second.
 pub(super) const FRAMES_PER_S: f64 = 25.0;
 
-/// Smoothed motion of a vehicle at its times, where it is known.
+/// Smoothed motion of a vehicle by time, where it is known.
 pub(super) fn motions(object: &ObjectTrajectory) -> impl Iterator<Item = (f64, Motion)> {
     object.poses.iter().filter_map(|pose| Some((pose.time_s, pose.metric.as_ref()?.motion?)))
 }
 
-/// A position that is known on the map.
+/// A georeferenced position.
 pub(super) struct Fix<'a> {
     pub(super) at: Position<'a>,
     pub(super) place: MapPlace,
 }
 
-/// A frame whose camera is known.
+/// A registered frame.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RegisteredFrame {
     /// The frame.
@@ -39,7 +39,7 @@ pub struct RegisteredFrame {
     pub image: ImageId,
     /// Its intrinsics.
     pub camera: Camera,
-    /// World (the background's frame) to camera.
+    /// Transform from world (the background's frame) to camera.
     pub cam_from_world: Rigid3,
 }
 
@@ -55,7 +55,7 @@ impl<'a> From<&'a RegisteredFrame> for Position<'a> {
 pub struct Results {
     /// File or folder name of the input.
     pub title: String,
-    /// Where the input was.
+    /// File path of the input.
     pub input: PathBuf,
     /// Width and height of the frames, pixels.
     pub size: (u32, u32),
@@ -63,13 +63,13 @@ pub struct Results {
     pub time_base: TimeBase,
     /// The frames with a known camera, ascending.
     pub views: Vec<RegisteredFrame>,
-    /// Where the vehicles were.
+    /// The trajectories of the vehicles.
     pub trajectories: Trajectories,
     /// The background.
     pub background: Reconstruction,
-    /// Ground points and planes; `None` where none were looked for.
+    /// Ground points and planes; `None` where none were estimated.
     pub ground: Option<Ground>,
-    /// False for a folder of `tractrix sfm`, or of a run that did not come to trajectories.
+    /// False for a folder of `tractrix sfm`, or of a run that did not reach the trajectories.
     pub has_trajectories: bool,
     /// Units of tables.
     pub units: Units,
@@ -96,7 +96,7 @@ struct InfoJson {
 }
 
 impl Results {
-    /// Leaves out trajectories with a verdict below `lowest`, those without one, and ground tracks.
+    /// Removes trajectories with a verdict below `lowest`, those without one, and ground tracks.
     pub fn keep_trusted(&mut self, lowest: Trust) {
         let is_trusted = |object: &ObjectTrajectory| object.verdict.as_ref().is_some_and(|found| found.state <= lowest);
         self.trajectories.objects.retain(is_trusted);
@@ -106,10 +106,10 @@ impl Results {
     /// Reads an output folder.
     ///
     /// * `frames` – the frames of the run with their times, where they are known; else the times are those of the
-    ///   trajectories, and of other frames what the nominal rate says.
+    ///   trajectories, and other frames have times by the nominal rate.
     ///
     /// # Errors
-    /// A folder without a background, or a file of it that is damaged.
+    /// A folder without a background, or with a damaged file.
     pub fn read(folder: &RunFolder, frames: Option<&[Frame]>) -> Result<Self, ExportError> {
         let no_result = || ExportError::NoResult { path: folder.root().to_owned() };
         let trajectories = there(folder.read_trajectories())?;
@@ -127,7 +127,7 @@ impl Results {
         })
     }
 
-    /// Reads an output folder without its models: no cameras, no ground.
+    /// Reads an output folder without its models, cameras and ground.
     ///
     /// # Errors
     /// As [`Self::read`].
@@ -153,7 +153,7 @@ impl Results {
         }
     }
 
-    /// The times as other programs count them.
+    /// The clock for the times of other programs.
     pub fn clock(&self) -> Clock {
         Clock::of(self.trajectories.metric.as_ref(), self.time_base)
     }
@@ -163,7 +163,7 @@ impl Results {
         self.trajectories.metric.as_ref()?.frame.as_ref()
     }
 
-    /// Takes points of the background's frame into that of the exports: metres, z up, where they are known, else the
+    /// Transform from the background's frame to that of the exports: meters, z up, where they are known, else the
     /// background's own.
     pub fn export_from_world(&self) -> Sim3 {
         self.metric_frame().map_or_else(Sim3::identity, MetricFrame::metric_from_world)
@@ -197,7 +197,7 @@ impl Results {
         self.map().is_some_and(|(_, origin)| origin.knows_height)
     }
 
-    /// Why there is no map, for people.
+    /// Reason why there is no georeference, for users.
     pub fn why_no_map(&self) -> String {
         let metric = self.trajectories.metric.as_ref();
         let reason = metric.filter(|metric| metric.frame.is_none()).and_then(|metric| metric.reason.clone());
@@ -207,7 +207,7 @@ impl Results {
         })
     }
 
-    /// Where a point of the background is on the map; `None` where the map is not known.
+    /// Georeferenced position of a point of the background; `None` where the map is unknown.
     pub fn place(&self, point_in_world: Point3<f64>) -> Option<MapPlace> {
         let (frame, origin) = self.map()?;
         let found = LocalFrame { origin }.to_geodetic(frame.metric_from_world() * point_in_world);
@@ -220,7 +220,7 @@ impl Results {
         })
     }
 
-    /// A time of the input in seconds; inputs without times have [`FRAMES_PER_S`].
+    /// A time of the input in seconds; inputs without times use [`FRAMES_PER_S`].
     pub(super) fn seconds(&self, time_s: f64) -> f64 {
         match self.time_base {
             TimeBase::Seconds => time_s,
@@ -233,7 +233,7 @@ impl Results {
         median(self.views.windows(2).map(|pair| pair[1].frame.time_s - pair[0].frame.time_s).collect())
     }
 
-    /// Positions of a vehicle or the camera on the map.
+    /// Georeferenced positions of a vehicle or the camera.
     pub(super) fn fixes<'a, T>(&self, positions: &'a [T]) -> Vec<Fix<'a>>
     where
         Position<'a>: From<&'a T>,
@@ -242,15 +242,15 @@ impl Results {
         positions.iter().map(Position::from).filter_map(fix).collect()
     }
 
-    /// Where something is on the map in one frame: as the results say, else by its position.
+    /// Georeferenced position in one frame: that of the results, else computed from the position.
     pub fn place_of<'a>(&self, at: impl Into<Position<'a>>) -> Option<MapPlace> {
         let Position { metric, in_world, .. } = at.into();
         metric.and_then(|metric| metric.place).or_else(|| self.place(in_world))
     }
 }
 
-/// Standard deviations along the metric axes of where a point of the background is, metres: what the similarity's
-/// covariance C makes of a small change at the point, J C Jᵀ with J = [d, −[d]×, I] and d the way from the anchor.
+/// Standard deviations of a background point's position along the metric axes, meters: the similarity's covariance C
+/// propagated to the point, J C Jᵀ with J = [d, −[d]×, I] and d the vector from the anchor.
 fn place_std_m(frame: &MetricFrame, point_in_world: Point3<f64>) -> [f64; 3] {
     let metric_from_world = frame.metric_from_world();
     let d = metric_from_world * point_in_world - metric_from_world * Point3::from(frame.anchor);

@@ -1,8 +1,8 @@
-//! Many runs in one table: a row per vehicle of every run, and a row for each run or vehicle that has no result, with
+//! Summary table of many runs: a row per vehicle of every run, and a row for each run or vehicle without a result, with
 //! the reason.
 //!
 //! A folder that is not an output folder is searched for such folders, in the order of their names; links and hidden
-//! folders are skipped. Nothing that is wrong with one run touches the others.
+//! folders are skipped. An error in one run does not affect the others.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -22,24 +22,24 @@ use crate::scene::{GroundTrack, MapPlace, ObjectId, ObjectTrajectory, warning_te
 const BEFORE: [&str; 2] = ["run", "input"];
 const AFTER: [&str; 7] = ["metres", "metres_reason", "date", "longitude", "latitude", "place_std_m", "missing"];
 
-/// One line of the table.
+/// One row of the table.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Row {
     /// The output folder.
     pub run: PathBuf,
-    /// Input, where it can be read.
+    /// Input, where it is readable.
     pub input: Option<PathBuf>,
-    /// The vehicle's figures; `None` where the row speaks of a run without a result or a vehicle without a way.
+    /// The vehicle's figures; `None` in a row of a run without a result or of a vehicle without a trajectory.
     pub facts: Option<Facts>,
-    /// The vehicle and its class, of one without a way.
+    /// Id and class of a vehicle without a trajectory.
     pub unplaced: Option<(ObjectId, String)>,
-    /// On what the metres rest; `None` in results that do not say.
+    /// Source of the metric scale; `None` in results without that information.
     pub metres: Option<&'static str>,
     /// Remark on meters.
     pub metres_reason: Option<String>,
-    /// When the vehicle was first seen, where dates are known.
+    /// Date of the vehicle's first observation, where dates are known.
     pub date: Option<String>,
-    /// Where it was then; `None` where the map is not known.
+    /// Its georeferenced position at that time; `None` where the map is unknown.
     pub place: Option<MapPlace>,
     /// Missing part, with the reason.
     pub missing: Option<String>,
@@ -48,7 +48,7 @@ pub struct Row {
 /// All rows.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, JsonSchema)]
 pub struct Summary {
-    /// In the order in which the folders were given, and by name below them.
+    /// Rows in the order of the given folders, and by name below them.
     pub rows: Vec<Row>,
     /// Output folders that were read.
     pub num_runs: usize,
@@ -56,7 +56,7 @@ pub struct Summary {
     pub unreadable: Vec<PathBuf>,
 }
 
-/// Parts of `run.json` on the course of a run.
+/// Parts of `run.json` on the progress of a run.
 #[derive(Deserialize)]
 struct RunJson {
     input: InputJson,
@@ -72,7 +72,7 @@ struct InputJson {
 }
 
 impl Summary {
-    /// Reads output folders, and folders of such folders.
+    /// Reads output folders, and folders that contain them.
     pub fn of(folders: &[PathBuf]) -> Self {
         let mut summary = Self::default();
         for folder in folders {
@@ -88,13 +88,13 @@ impl Summary {
     /// As comma-separated values.
     ///
     /// # Errors
-    /// None but those of memory.
+    /// Only those of writing to memory.
     pub fn to_csv(&self) -> Result<Vec<u8>, csv::Error> {
         let columns = [&BEFORE[..], &fact_columns(), &AFTER].concat();
         text(&columns, self.rows.iter().map(Row::cells))
     }
 
-    /// As GeoJSON: a point for each row, where its vehicle was first seen; no geometry where that is not known.
+    /// As GeoJSON: a point per row at the vehicle's first observation; no geometry where that is unknown.
     pub fn to_geojson(&self) -> Value {
         let features: Vec<Value> = self.rows.iter().map(Row::feature).collect();
         json!({ "type": "FeatureCollection", "features": features })
@@ -107,25 +107,25 @@ impl Summary {
 
     fn add(&mut self, run: &Path) {
         let folder = RunFolder::at(run);
-        let told: RunJson = match json_file::read(&folder.run_json()) {
-            Ok(told) => told,
+        let info: RunJson = match json_file::read(&folder.run_json()) {
+            Ok(info) => info,
             Err(error) => return self.refuse(run, with_causes(&error)),
         };
         match Results::read_trajectories(&folder) {
-            Ok(results) => self.add_results(&folder, &told, &results),
+            Ok(results) => self.add_results(&folder, &info, &results),
             Err(ExportError::NoResult { .. }) => {
                 self.num_runs += 1;
-                let reason = told.error.unwrap_or_else(|| "run incomplete: no trajectories yet".to_owned());
-                self.rows.push(Row { missing: Some(reason), ..Row::new(run, Some(told.input.path)) });
+                let reason = info.error.unwrap_or_else(|| "run incomplete: no trajectories yet".to_owned());
+                self.rows.push(Row { missing: Some(reason), ..Row::new(run, Some(info.input.path)) });
             }
             Err(error) => self.refuse(run, with_causes(&error)),
         }
     }
 
-    fn add_results(&mut self, folder: &RunFolder, told: &RunJson, results: &Results) {
+    fn add_results(&mut self, folder: &RunFolder, info: &RunJson, results: &Results) {
         self.num_runs += 1;
         let before = self.rows.len();
-        let blank = Row { input: Some(told.input.path.clone()), ..Row::of_metres(folder.root(), results) };
+        let blank = Row { input: Some(info.input.path.clone()), ..Row::of_metres(folder.root(), results) };
         let on_ground = |id: ObjectId| results.trajectories.ground_track(id).map(ground_track_in_words);
         let placed = results.trajectories.objects.iter().map(|object| {
             let missing = on_ground(object.id);
@@ -136,12 +136,12 @@ impl Summary {
         let has_way = |id: ObjectId| results.trajectories.objects.iter().any(|object| object.id == id);
         for object in tracked.iter().filter(|object| !has_way(object.id)) {
             let unplaced = Some((object.id, object.class.clone()));
-            let reason = why_no_way(object.id, told);
+            let reason = reason_without_trajectory(object.id, info);
             let missing = Some(on_ground(object.id).map_or(reason.clone(), |track| format!("{reason}; {track}")));
             self.rows.push(Row { unplaced, missing, ..blank.clone() });
         }
         if self.rows.len() == before {
-            let reason = told.error.clone().unwrap_or_else(|| "no vehicle found".to_owned());
+            let reason = info.error.clone().unwrap_or_else(|| "no vehicle found".to_owned());
             self.rows.push(Row { missing: Some(reason), ..blank });
         }
     }
@@ -229,13 +229,13 @@ fn runs_below(folder: &Path, depth: usize) -> Vec<PathBuf> {
     if run.run_json().is_file() || run.trajectories().is_file() {
         return vec![folder.to_owned()];
     }
-    // Folders in folders are searched so deep.
+    // Maximum depth of the folder search.
     if depth == 6 {
         return Vec::new();
     }
     let entries = fs::read_dir(folder).into_iter().flatten().flatten();
     let is_folder = |entry: &fs::DirEntry| {
-        // A link may lead in a circle.
+        // A link may form a cycle.
         entry.file_type().is_ok_and(|kind| kind.is_dir()) && !entry.file_name().as_encoded_bytes().starts_with(b".")
     };
     let mut below: Vec<PathBuf> = entries.filter(is_folder).map(|entry| entry.path()).collect();
@@ -250,13 +250,13 @@ fn nothing_in(folder: &Path) -> String {
     }
 }
 
-/// Why a vehicle that was followed has no way: as the run warned, else what is known.
-fn why_no_way(id: ObjectId, told: &RunJson) -> String {
+/// Reason why a tracked vehicle has no trajectory: the run's warning, else what is known.
+fn reason_without_trajectory(id: ObjectId, info: &RunJson) -> String {
     let begins = ["not reconstructed", "skipped", "no trajectory"].map(|what| format!("object {id}: {what}: "));
     let reason = |warning: &String| {
         begins.iter().find_map(|begin| warning_text(warning).strip_prefix(begin.as_str()).map(str::to_owned))
     };
-    told.warnings.iter().find_map(reason).unwrap_or_else(|| "tracked, but without a trajectory".to_owned())
+    info.warnings.iter().find_map(reason).unwrap_or_else(|| "tracked, but without a trajectory".to_owned())
 }
 
 /// `ground track of 90 frames (usable: ...)`.
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn good_and_broken_runs_stand_in_one_table() {
+    fn table_has_good_and_broken_runs() {
         let folder = tempfile::tempdir().unwrap();
         let at = |name: &str| folder.path().join(name);
         write_run(&at("runs/b"), &with_metres(results()));
@@ -313,14 +313,14 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_without_a_way_has_the_reason_of_the_run() {
+    fn vehicle_without_trajectory_has_the_reason_of_the_run() {
         let warnings = vec![
             "object 12: skipped: far".to_owned(),
             "object 1: not reconstructed: dark [troubleshooting: vehicle-not-reconstructed]".to_owned(),
         ];
-        let told = RunJson { input: InputJson { path: "a.mp4".into() }, warnings, error: None };
-        assert_eq!(why_no_way(ObjectId(1), &told), "dark");
-        assert_eq!(why_no_way(ObjectId(12), &told), "far");
-        assert_eq!(why_no_way(ObjectId(2), &told), "tracked, but without a trajectory");
+        let info = RunJson { input: InputJson { path: "a.mp4".into() }, warnings, error: None };
+        assert_eq!(reason_without_trajectory(ObjectId(1), &info), "dark");
+        assert_eq!(reason_without_trajectory(ObjectId(12), &info), "far");
+        assert_eq!(reason_without_trajectory(ObjectId(2), &info), "tracked, but without a trajectory");
     }
 }

@@ -1,7 +1,7 @@
-//! Tables: comma-separated values with one line of column names, whose endings are the units.
+//! Tables: comma-separated values with one header line of column names, whose endings are the units.
 //!
-//! `_units` is the unit of length of the background's reconstruction, `_m` metres, `_s` seconds, `_deg` degrees. What
-//! is not known is an empty cell. Metres have four decimals, longitude and latitude nine: a tenth of a millimetre.
+//! `_units` is the unit of length of the background's reconstruction, `_m` meters, `_s` seconds, `_deg` degrees. An
+//! unknown value is an empty cell. Meters have four decimals, longitude and latitude nine: a tenth of a millimeter.
 
 use std::ops::Range;
 use std::path::Path;
@@ -19,7 +19,7 @@ type Fact = (&'static str, fn(&Facts) -> String);
 /// Name of a column, and its number in a frame with metric values.
 type MetricColumn = (&'static str, fn(&MetricPose) -> Option<f64>);
 
-/// Columns of what is reported of a vehicle as a whole.
+/// Columns of the properties of a vehicle as a whole.
 const FACTS: [Fact; 27] = [
     ("vehicle", |facts| facts.vehicle.to_string()),
     ("class", |facts| facts.class.clone()),
@@ -50,7 +50,7 @@ const FACTS: [Fact; 27] = [
     ("height_std_m", |facts| std(facts.dimensions.height_m)),
 ];
 
-/// Those of the frames, the travel and the size, which ground tracks have, too.
+/// Columns of the frames, the travel and the size, which ground tracks also have.
 const OF_GROUND_TRACKS: [Range<usize>; 2] = [5..8, 10..27];
 
 /// Columns of metric values.
@@ -80,7 +80,7 @@ const METRIC: [MetricColumn; 23] = [
     ("distance_to_camera_std_m", |pose| Some(pose.distance_to_camera_std_m)),
 ];
 
-/// Columns of a moment, of a position in the background's frame, and of one on the map.
+/// Columns of a time, of a position in the background's frame, and of a georeferenced position.
 const MOMENT: [&str; 4] = ["frame", "image", "time_s", "date"];
 const POSITION: [&str; 3] = ["x_units", "y_units", "z_units"];
 const PLACE: [&str; 4] = ["longitude", "latitude", "height_m", "place_std_m"];
@@ -114,7 +114,7 @@ pub(super) fn fact_cells(facts: &Facts) -> Vec<String> {
     FACTS.iter().map(|(_, cell)| cell(facts)).collect()
 }
 
-/// The columns that ground tracks have, too.
+/// The columns that ground tracks also have.
 fn shared_facts() -> impl Iterator<Item = Fact> {
     OF_GROUND_TRACKS.into_iter().flatten().map(|k| FACTS[k])
 }
@@ -180,7 +180,7 @@ fn contact_cells(results: &Results, clock: &Clock, track: &GroundTrack, contact:
     [who, position_cells(clock, &contact), metric_cells(results, &contact)].concat()
 }
 
-/// Cells of [`MOMENT`] and [`POSITION`]; the time is empty where nobody stated a rate.
+/// Cells of [`MOMENT`] and [`POSITION`]; the time is empty where the rate is unknown.
 fn position_cells(clock: &Clock, at: &Position) -> Vec<String> {
     let time = if clock.has_seconds() { at.time_s.to_string() } else { String::new() };
     let date = clock.date(at.name, at.time_s).unwrap_or_default();
@@ -247,7 +247,7 @@ fn metres(value: Option<f64>) -> String {
     value.map(|value| format!("{value:.4}")).unwrap_or_default()
 }
 
-/// As many digits as tell the number from all others.
+/// Shortest representation that identifies the number.
 fn exact(value: Option<f64>) -> String {
     value.map(|value| value.to_string()).unwrap_or_default()
 }
@@ -265,13 +265,13 @@ fn write_in(
     write(path, &names, rows.map(convert))
 }
 
-/// Writes a table; every row has as many cells as there are columns.
+/// Writes a table; every row has one cell per column.
 pub(super) fn write(path: &Path, columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<(), ExportError> {
     let text = text(columns, rows).map_err(|error| IoError::content(path, error.to_string()))?;
     Ok(atomic::write(path, &text)?)
 }
 
-/// A table as text. Texts that a spreadsheet would take for a formula begin with an apostrophe.
+/// A table as text. Texts that a spreadsheet would parse as a formula get a leading apostrophe.
 pub(super) fn text(columns: &[&str], rows: impl Iterator<Item = Vec<String>>) -> Result<Vec<u8>, csv::Error> {
     let mut writer = csv::Writer::from_writer(Vec::new());
     writer.write_record(columns)?;
@@ -281,7 +281,7 @@ pub(super) fn text(columns: &[&str], rows: impl Iterator<Item = Vec<String>>) ->
     writer.into_inner().map_err(|error| error.into_error().into())
 }
 
-/// A cell that no spreadsheet computes. Numbers stay as they are.
+/// A cell that no spreadsheet evaluates. Numbers stay unchanged.
 fn without_formula(cell: String) -> String {
     let is_formula = cell.starts_with(['=', '+', '-', '@', '\t', '\r', '\n']) && cell.parse::<f64>().is_err();
     if is_formula { format!("'{cell}") } else { cell }

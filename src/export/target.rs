@@ -1,17 +1,17 @@
-//! Where exported files go.
+//! Target folder of exported files.
 
 use std::path::{Path, PathBuf};
 
 use super::ExportError;
 use crate::io::{ExportFolder, FolderError, OwnedFolder, RunFolder, refuse_own_input};
 
-/// A folder that this process has for itself, and into which it writes whole files.
+/// A folder that this process has locked, and into which it writes files atomically.
 #[derive(Debug)]
 pub struct Target {
     owned: OwnedFolder,
-    /// From the folder that is owned to that of the exports.
+    /// Relative path from the locked folder to that of the exports.
     below: PathBuf,
-    /// The latter as the user named it.
+    /// Folder of the exports as the user named it.
     shown: PathBuf,
 }
 
@@ -19,7 +19,7 @@ impl Target {
     /// `export/` in a run's output folder.
     ///
     /// # Errors
-    /// [`FolderError`] if the folder is not a run's own, another process has it, or something is in the way.
+    /// [`FolderError`] if the folder is not a run's own, another process has locked it, or a file blocks the target.
     pub fn in_run(folder: &RunFolder) -> Result<Self, FolderError> {
         let owned = OwnedFolder::open(folder.root(), RunFolder::MADE_BY, RunFolder::place)?;
         let shown = folder.exports();
@@ -27,9 +27,9 @@ impl Target {
         Ok(Self { owned, below, shown })
     }
 
-    /// A folder for exports alone, which is made if need be.
+    /// A separate folder for exports, created if missing.
     ///
-    /// * `reads` – what is read, after the flag that named it: it must not lie where the exports go.
+    /// * `reads` – flags and paths of the inputs, none of which may be in the exports' folder.
     ///
     /// # Errors
     /// As [`Self::in_run`]; [`FolderError::OwnInput`].
@@ -46,7 +46,7 @@ impl Target {
         &self.shown
     }
 
-    /// Puts a file in its place, whole: `fill` writes to the given path. Returns its final path.
+    /// Writes a file atomically: `fill` writes to the given path. Returns the final path.
     pub(super) fn put_file(
         &self,
         name: &str,
@@ -56,7 +56,7 @@ impl Target {
         Ok(self.shown.join(name))
     }
 
-    /// Puts a folder in its place, whole: `fill` gets an empty one. Gives its path.
+    /// Writes a folder atomically: `fill` gets an empty one. Returns its path.
     pub(super) fn put_folder(
         &self,
         name: &str,

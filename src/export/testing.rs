@@ -1,4 +1,4 @@
-//! Something to export.
+//! Sample results for tests of the exports.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -54,7 +54,7 @@ fn view_of(found: &Showcase, frame: &Frame) -> Option<RegisteredFrame> {
     Some(RegisteredFrame { frame: frame.clone(), image, camera, cam_from_world: seen.cam_from_world })
 }
 
-/// The same with metres: a place on the map, dates, and a car that goes at eight metres per second.
+/// The same with meters: georeferenced, with dates and a car that moves at eight meters per second.
 pub(super) fn with_metres(mut results: Results) -> Results {
     let frame = metric_frame();
     let metric_from_world = frame.metric_from_world();
@@ -144,18 +144,18 @@ pub(super) fn models_of(found: &Showcase) -> BTreeMap<ObjectId, Reconstruction> 
     found.vehicles.iter().map(|vehicle| (vehicle.trajectory.id, vehicle.model.clone())).collect()
 }
 
-/// Writes what of results lies in an output folder: trajectories, background, and what was run.
+/// Writes results as an output folder: trajectories, background and `run.json`.
 pub(super) fn write_run(folder: &Path, results: &Results) {
     let run = RunFolder::at(folder);
     trajectories::write(&run.trajectories(), &results.trajectories).unwrap();
     colmap::write_text(&run.background(), &results.background).unwrap();
     let (width, height) = results.size;
-    let told = serde_json::json!({
+    let run_json_content = serde_json::json!({
         "input": {
             "path": results.input, "info": { "width": width, "height": height, "fps": 15.0 }, "times": "seconds"
         },
         "warnings": [],
         "error": null,
     });
-    atomic::write_json(&run.run_json(), &told).unwrap();
+    atomic::write_json(&run.run_json(), &run_json_content).unwrap();
 }

@@ -1,7 +1,7 @@
-//! Trajectories in the forms of traffic research: floating car data of SUMO, and the tables of levelXData.
+//! Trajectories in formats of traffic research: SUMO's floating car data and the tables of levelXData.
 //!
 //! Positions are smoothed, in meters of the metric frame, of which x and y span the ground. Rejected trajectories and
-//! ground tracks are left out: neither form can say that a position is uncertain.
+//! ground tracks are skipped: neither format can express an uncertain position.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -23,7 +23,7 @@ struct Sample<'a> {
 }
 
 impl Sample<'_> {
-    /// Number of the frame, text, at a rate: the time is frame over rate.
+    /// Frame number at a rate, as text: the time is frame over rate.
     fn frame(&self, rate: f64) -> String {
         (self.time_s * rate).round().to_string()
     }
@@ -46,7 +46,7 @@ pub(super) fn write_sumo(path: &Path, results: &Results) -> Result<(), ExportErr
     let samples = samples(results);
     let mut by_time: BTreeMap<String, Vec<&Sample>> = BTreeMap::new();
     for sample in samples.iter().flatten() {
-        // Texts of one width have the order of their numbers.
+        // Texts of equal width sort like their numbers.
         by_time.entry(format!("{:012.3}", sample.time_s)).or_default().push(sample);
     }
     xml::write(path, "fcd-export", &[], |xml| {
@@ -100,10 +100,10 @@ const TRACK_COLUMNS: [&str; 17] = [
 ];
 const TRACK_META_COLUMNS: [&str; 8] =
     ["recordingId", "trackId", "initialFrame", "finalFrame", "numFrames", "width", "length", "class"];
-/// The only recording of an export.
+/// Id of the only recording of an export.
 const RECORDING: &str = "0";
 
-/// The three tables of levelXData (inD, rounD, uniD), read by their tools.
+/// Writes the three tables of levelXData (inD, rounD, uniD) in the format of its tools.
 pub(super) fn write_levelx(folder: &Path, results: &Results) -> Result<(), ExportError> {
     let samples = samples(results);
     let rate = frame_rate(results);
@@ -123,7 +123,7 @@ pub(super) fn write_levelx(folder: &Path, results: &Results) -> Result<(), Expor
     let recording = [
         ("recordingId", RECORDING.to_owned()),
         ("locationId", RECORDING.to_owned()),
-        // Times are sums of steps: 9.999999999999991 is 10.
+        // Times are accumulated steps: 9.999999999999991 is 10.
         ("frameRate", ((rate * 1e6).round() / 1e6).to_string()),
         ("speedLimit", "-1".to_owned()),
         ("weekday", String::new()),
@@ -168,7 +168,7 @@ fn track_row(track: usize, lifetime: usize, sample: &Sample, rate: f64) -> Vec<S
     let heading_deg = (90.0 - sample.heading_deg).rem_euclid(360.0);
     let (sin, cos) = heading_deg.to_radians().sin_cos();
     let (speed, ahead) = (sample.motion.speed_m_s, sample.motion.acceleration_m_s2);
-    // To the left, in a turn to the left.
+    // Positive to the left, in a left turn.
     let aside = -speed * sample.motion.yaw_rate_deg_s.unwrap_or(0.0).to_radians();
     let [width, length] = size(sample.object);
     let numbers = [

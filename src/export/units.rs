@@ -1,10 +1,10 @@
-//! Units of tables: columns and properties whose names end with a unit get another one, and their values with them.
+//! Units of tables: converts the unit endings of column and property names together with their values.
 
 use std::str::FromStr;
 
 use serde_json::{Map, Value};
 
-/// Units of speeds and lengths in tables: endings of names, factors from m/s and m. Accelerations follow lengths.
+/// Units of speeds and lengths in tables: name endings, factors from m/s and m. Accelerations follow lengths.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Units {
     speed: (&'static str, f64),
@@ -27,7 +27,7 @@ pub(super) const KM_H: f64 = 3.6;
 impl FromStr for Units {
     type Err = String;
 
-    /// `m/s`, `km/h`, `mph`, `m` or `ft`, or two of them with a comma between.
+    /// Parses `m/s`, `km/h`, `mph`, `m` or `ft`, or two of them separated by a comma.
     fn from_str(text: &str) -> Result<Self, String> {
         let mut units = Self::default();
         for name in text.split(',').map(str::trim) {
@@ -58,7 +58,7 @@ impl Units {
         endings.into_iter().find_map(renamed).unwrap_or_else(|| (name.to_owned(), 1.0))
     }
 
-    /// A cell with its number multiplied, four decimals as in meters; other texts stay.
+    /// A cell with its number scaled, four decimals as in meters; other texts stay unchanged.
     pub(super) fn cell(factor: f64, cell: String) -> String {
         match cell.parse::<f64>() {
             Ok(number) if factor != 1.0 => format!("{:.4}", factor * number),
@@ -66,7 +66,7 @@ impl Units {
         }
     }
 
-    /// Properties with names and numbers in these units.
+    /// Converts names and numbers of properties to these units.
     pub(super) fn properties(self, properties: Map<String, Value>) -> Map<String, Value> {
         let converted = |(name, value): (String, Value)| {
             let (name, factor) = self.column(&name);

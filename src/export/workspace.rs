@@ -1,8 +1,8 @@
-//! A workspace of COLMAP's: `images/`, `masks/` and `sparse/0`, ready for `image_undistorter` and densification.
+//! A COLMAP workspace: `images/`, `masks/` and `sparse/0`, ready for `image_undistorter` and densification.
 //!
-//! The pictures are those of the registered frames, upright and at the size of the model, under its names. A mask has
-//! the picture's name and `.png` behind it, and is 0 where something is that moves or may move, a little more so that
-//! outlines are off, and 255 elsewhere.
+//! The images are those of the registered frames, upright and at the size of the model, under its names. A mask has
+//! the image's name with `.png` appended. It is 0 on objects that move or may move, widened to cover their outlines,
+//! and 255 elsewhere.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
@@ -20,13 +20,13 @@ use crate::io::interchange::colmap;
 use crate::io::{ExportFolder, IoError, RunFolder, masks};
 use crate::scene::{FrameId, Mask, Movement, ObjectId};
 
-/// Fills an empty folder.
+/// Writes the workspace into an empty folder.
 ///
 /// # Errors
-/// Names that are no file names; an input that is gone or has other pictures; a frame that cannot be decoded.
+/// Names that are no file names; an input that is missing or does not match; a frame that cannot be decoded.
 pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Result<(), ExportError> {
     check_names(folder, results)?;
-    let standing = standing(pictures.folder)?;
+    let stationary = stationary_objects(pictures.folder)?;
     let views: BTreeMap<FrameId, &RegisteredFrame> = results.views.iter().map(|view| (view.frame.id, view)).collect();
     let mut missing: BTreeSet<&str> = results.views.iter().map(|view| view.frame.name.as_str()).collect();
     for found in pictures.source()?.frames_at(views.keys().copied().collect())? {
@@ -39,7 +39,7 @@ pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Re
         }
         save(&folder.join(ExportFolder::IMAGES).join(&frame.name), &picture)?;
         let path = folder.join(ExportFolder::MASKS).join(RunFolder::mask_name(&frame));
-        masks::write_mask(&path, &still(pictures.folder, &view.frame, picture.dimensions(), &standing)?)?;
+        masks::write_mask(&path, &static_mask(pictures.folder, &view.frame, picture.dimensions(), &stationary)?)?;
         missing.remove(view.frame.name.as_str());
         (pictures.on_step)();
     }
@@ -49,7 +49,7 @@ pub(super) fn write(folder: &Path, results: &Results, pictures: &Pictures) -> Re
     Ok(colmap::write_binary(&folder.join(ExportFolder::SPARSE).join("0"), &results.background)?)
 }
 
-/// That every image of the model is a file name: models from elsewhere have folders in theirs.
+/// Checks that every image name of the model is a file name: models made elsewhere may have folders in theirs.
 fn check_names(folder: &Path, results: &Results) -> Result<(), ExportError> {
     let is_file_name = |name: &str| !name.starts_with('.') && !name.contains(['/', '\0']) && !name.is_empty();
     match results.background.images.values().find(|image| !is_file_name(&image.name)) {
@@ -58,23 +58,23 @@ fn check_names(folder: &Path, results: &Results) -> Result<(), ExportError> {
     }
 }
 
-/// The objects that stood still all the time: they belong to the background.
-fn standing(folder: &RunFolder) -> Result<BTreeSet<ObjectId>, ExportError> {
+/// The objects that were stationary throughout: they belong to the background.
+fn stationary_objects(folder: &RunFolder) -> Result<BTreeSet<ObjectId>, ExportError> {
     let tracked = there(folder.read_tracked())?.unwrap_or_default();
-    let still = tracked.iter().filter(|object| object.movement.state == Movement::Stationary);
-    Ok(still.map(|object| object.id).collect())
+    let stationary = tracked.iter().filter(|object| object.movement.state == Movement::Stationary);
+    Ok(stationary.map(|object| object.id).collect())
 }
 
-/// Where nothing moves.
-fn still(
+/// Mask of the static part of an image.
+fn static_mask(
     folder: &RunFolder,
     frame: &crate::scene::Frame,
     (width, height): (u32, u32),
-    standing: &BTreeSet<ObjectId>,
+    stationary: &BTreeSet<ObjectId>,
 ) -> Result<Mask, ExportError> {
     let mut moving = Mask::empty(width, height);
     for (id, mask) in masks_of(folder, frame, (width, height))? {
-        if !standing.contains(&id) {
+        if !stationary.contains(&id) {
             moving.union_with(&mask);
         }
     }
@@ -83,7 +83,7 @@ fn still(
     Ok(moving.dilated(margin_px).complement())
 }
 
-/// Writes a picture in the format that its name says: PNG, else JPEG.
+/// Writes an image in the format of its name's extension: PNG, else JPEG.
 fn save(path: &Path, picture: &RgbImage) -> Result<(), ExportError> {
     let failed = |error: ::image::ImageError| IoError::content(path, format!("cannot be written: {error}"));
     if let Some(folder) = path.parent() {
@@ -94,6 +94,6 @@ fn save(path: &Path, picture: &RgbImage) -> Result<(), ExportError> {
         return Ok(picture.save_with_format(path, ImageFormat::Png).map_err(failed)?);
     }
     let file = BufWriter::new(File::create(path).map_err(IoError::system("write", path))?);
-    // Next to nothing is lost.
+    // Nearly lossless.
     Ok(JpegEncoder::new_with_quality(file, 96).encode_image(picture).map_err(failed)?)
 }

@@ -1,4 +1,4 @@
-//! From formats that were asked for to files.
+//! Writing of the requested formats.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use crate::io::{ExportFolder, RunFolder, trajectories};
 use crate::scene::{Frame, FrameId};
 use crate::video::{Frames, Source};
 
-/// The pictures that the results are of.
+/// The input images of the results.
 pub struct Pictures<'a> {
     pub(super) folder: &'a RunFolder,
     source: Result<&'a Source, String>,
@@ -21,20 +21,20 @@ pub struct Pictures<'a> {
 }
 
 impl<'a> Pictures<'a> {
-    /// Of a run.
+    /// Input of a run.
     ///
-    /// * `source` – the input, opened as the run opened it, or why it cannot be.
+    /// * `source` – the input, opened as by the run, or the reason why it cannot be opened.
     /// * `on_step` – called after every image.
     pub fn new(folder: &'a RunFolder, source: Result<&'a Source, String>, on_step: &'a dyn Fn()) -> Self {
         Self { folder, source, on_step, frames: None }
     }
 
-    /// Takes only the frames that the run used, where they are known.
+    /// Restricts the input to the frames of the run, where they are known.
     pub fn of_frames(self, frames: Option<&[Frame]>) -> Self {
         Self { frames: frames.map(|frames| frames.iter().map(|frame| frame.id).collect()), ..self }
     }
 
-    /// The frames of the run, with their pictures.
+    /// The frames of the run, with their images.
     pub(super) fn frames(&self) -> Result<Frames, ExportError> {
         let source = self.source()?;
         Ok(match &self.frames {
@@ -47,19 +47,19 @@ impl<'a> Pictures<'a> {
         self.source.as_ref().copied().map_err(|reason| ExportError::NoPictures { reason: reason.clone() })
     }
 
-    /// Pictures per second, if that is known.
+    /// Frames per second, if known.
     pub(super) fn rate(&self) -> Option<f64> {
         let source = self.source.as_ref().ok()?;
         Some(source.info().fps? / f64::from(source.every()))
     }
 
-    /// The error about an input that is not the one that the results are of.
+    /// The error for an input that does not match the results.
     pub(super) fn other(&self, problem: impl Into<String>) -> ExportError {
         let path = self.source.as_ref().map_or_else(|_| PathBuf::new(), |source| source.path().to_owned());
         ExportError::OtherInput { path, problem: problem.into() }
     }
 
-    /// That a picture is as large as those of the run.
+    /// Checks that an image has the size of the run's images.
     pub(super) fn check_size(&self, picture: &RgbImage, results: &Results) -> Result<(), ExportError> {
         let ((width, height), (wanted_width, wanted_height)) = (picture.dimensions(), results.size);
         match (width, height) == results.size {
@@ -71,7 +71,7 @@ impl<'a> Pictures<'a> {
     }
 }
 
-/// A format that was written.
+/// A written format.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Written {
     /// Its name.
@@ -80,12 +80,12 @@ pub struct Written {
     pub files: Vec<PathBuf>,
 }
 
-/// A format that could not be made.
+/// A skipped format.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SkippedFormat {
     /// Its name.
     pub format: &'static str,
-    /// Why, and what to do about it.
+    /// Reason and remedy.
     pub reason: String,
 }
 
@@ -94,28 +94,28 @@ pub struct SkippedFormat {
 pub struct Exported {
     /// In the order of [`Format::ALL`].
     pub written: Vec<Written>,
-    /// Formats that could not be made of these results.
+    /// Formats that these results do not support.
     pub passed_over: Vec<SkippedFormat>,
 }
 
-/// Treatment of formats that cannot be made of the results.
+/// Treatment of formats that the results do not support.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MissingFormats {
-    /// Each by its name: what cannot be made is an error, and nothing is written.
+    /// Formats requested by name: an unsupported one is an error, and nothing is written.
     ByName,
-    /// For all that there are: what cannot be made is skipped.
+    /// All formats: unsupported ones are skipped.
     ForAll,
 }
 
-/// Writes results in formats; with a `rate`, formats with rows or events have so many per second.
+/// Writes results in formats; with a `rate`, formats with rows or events have that many per second.
 ///
 /// # Errors
-/// A format that cannot be made of these results, where it was asked for by name: then nothing is written; a file that
-/// cannot be read or written.
+/// A format requested by name that these results do not support, in which case nothing is written; a file that cannot
+/// be read or written.
 pub fn write(
     results: &Results,
     formats: &[Format],
-    asked: MissingFormats,
+    missing_formats: MissingFormats,
     rate: Option<f64>,
     pictures: &Pictures,
     target: impl FnOnce() -> Result<Target, ExportError>,
@@ -124,13 +124,13 @@ pub fn write(
     let mut possible = Vec::new();
     let sampled = rate.map(|rate| resampled(results, rate)).transpose()?;
     let sampled = sampled.as_ref().unwrap_or(results);
-    if asked == MissingFormats::ByName {
+    if missing_formats == MissingFormats::ByName {
         check_form(results, formats, rate)?;
     }
     for &format in formats {
         match obstacle(format, results, pictures) {
             None => possible.push(format),
-            Some(error) if asked == MissingFormats::ByName => return Err(error),
+            Some(error) if missing_formats == MissingFormats::ByName => return Err(error),
             Some(error) => {
                 exported.passed_over.push(SkippedFormat { format: format.name(), reason: error.to_string() });
             }
@@ -176,7 +176,7 @@ fn resampled(results: &Results, rate: f64) -> Result<Results, ExportError> {
     })
 }
 
-/// Writes one format; gives its files. Rows and events are of `sampled`, whole vehicles and all else of `results`.
+/// Writes one format and returns its files. Rows and events come from `sampled`, everything else from `results`.
 fn one(
     format: Format,
     results: &Results,
@@ -201,8 +201,8 @@ fn one(
         }
         Format::GeoJson => {
             return several(&[
-                (Names::WAYS_ON_MAP, geojson::ways, results),
-                (Names::PLACES_ON_MAP, geojson::places, sampled),
+                (Names::WAYS_ON_MAP, geojson::write_trajectories, results),
+                (Names::PLACES_ON_MAP, geojson::write_positions, sampled),
             ]);
         }
         Format::Kml => target.put_file(Names::KML, |path| kml::write(path, sampled)),
@@ -236,7 +236,7 @@ mod tests {
     use crate::synthetic::write_clip;
     use crate::video::Options;
 
-    /// An output folder, and the video that it is of.
+    /// An output folder, and its input video.
     fn run(folder: &Path, found: &Showcase) -> (RunFolder, Source) {
         let run = RunFolder::at(folder.join("out"));
         write_run(run.root(), &results_of(found));
@@ -264,7 +264,7 @@ mod tests {
     }
 
     #[test]
-    fn everything_is_written_twice_the_same_and_nothing_of_others_is_replaced() {
+    fn exports_are_reproducible_and_foreign_files_are_kept() {
         let folder = tempfile::tempdir().unwrap();
         let found = showcase(12, 1);
         let (run, source) = run(folder.path(), &found);
@@ -281,7 +281,7 @@ mod tests {
         let first = bytes_below(&into);
         all().unwrap();
         let again = bytes_below(&into);
-        // Videos of one process are the same picture for picture to the eye, not bit for bit; those of two runs are.
+        // Videos of one process are visually identical frame by frame, not bit by bit; those of two runs are.
         let is_other = |path: &&PathBuf| !path.ends_with("annotated.mp4") && first.get(*path) != again.get(*path);
         let others: Vec<&PathBuf> = again.keys().filter(is_other).collect();
         assert!(others.is_empty() && first.len() == again.len(), "the same results give the same bytes: {others:?}");
@@ -304,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_made_is_refused_with_the_cure_before_anything_is_written() {
+    fn unsupported_formats_are_refused_with_a_remedy_before_writing() {
         let folder = tempfile::tempdir().unwrap();
         let found = showcase(12, 1);
         let (run, _) = run(folder.path(), &found);

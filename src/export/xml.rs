@@ -1,4 +1,4 @@
-//! Documents in XML.
+//! XML documents.
 
 use std::io::Write;
 use std::path::Path;
@@ -9,7 +9,7 @@ use quick_xml::events::{BytesDecl, BytesText, Event};
 use super::ExportError;
 use crate::io::atomic;
 
-/// A document that is being written.
+/// An XML document under construction.
 pub(super) type Xml<'a> = Writer<&'a mut dyn Write>;
 
 /// Writes a file with its root element.
@@ -28,12 +28,12 @@ pub(super) fn write(
     Ok(atomic::write_with(path, document)?)
 }
 
-/// An element that holds text.
+/// Writes an element with text content.
 pub(super) fn element(xml: &mut Xml, name: &str, text: &str) -> std::io::Result<()> {
     xml.create_element(name).write_text_content(BytesText::new(&allowed(text))).map(drop)
 }
 
-/// A text without the characters that XML has no place for, even escaped.
+/// A text without the characters that XML forbids even escaped.
 pub(super) fn allowed(text: &str) -> String {
     text.chars().map(|c| if is_allowed(c) { c } else { '?' }).collect()
 }

@@ -1,4 +1,4 @@
-//! The environment of the process: variables that C libraries read, and the source tree that the program was built in.
+//! Environment of the process: variables that C libraries read, and the source tree of the build.
 
 use std::ffi::{CStr, CString, OsStr, c_char};
 use std::os::unix::ffi::OsStrExt;
@@ -7,8 +7,9 @@ use std::ptr;
 use std::sync::atomic::{AtomicPtr, Ordering};
 use std::sync::{Mutex, PoisonError};
 
-/// Folders between an executable's and `target` in which cargo puts it: one per architecture, and one per distribution
-/// that `scripts/package` and `scripts/cross-arm64` build for.
+/// Maximum number of folders between `target` and the profile's folder.
+///
+/// One per architecture, and one per distribution that `scripts/package` and `scripts/cross-arm64` build for.
 const MAX_LEVELS_BELOW_TARGET: usize = 2;
 
 #[allow(unsafe_code)]
@@ -17,11 +18,11 @@ unsafe extern "C" {
     static environ: AtomicPtr<*mut c_char>;
 }
 
-/// Sets a variable, whatever its value was. Other threads may read the environment meanwhile, in Rust and in C.
+/// Sets a variable, replacing its value. Other threads may read the environment at the same time, in Rust and in C.
 ///
-/// `setenv`, and so `std::env::set_var`, may free the list that a `getenv` of another thread is reading. This publishes
-/// a new list and frees neither the old one nor its strings. Threads that change the environment by other means must
-/// not do so at the same time.
+/// `setenv`, and so `std::env::set_var`, may free the list that `getenv` reads in another thread. This publishes a new
+/// list and frees neither the old one nor its strings. Other changes of the environment must not happen at the same
+/// time.
 #[allow(unsafe_code)]
 pub fn set(name: &CStr, value: &CStr) {
     static CHANGE: Mutex<()> = Mutex::new(());
@@ -33,8 +34,8 @@ pub fn set(name: &CStr, value: &CStr) {
     let mut prefix = name.to_bytes().to_vec();
     prefix.push(b'=');
     let mut variables = Vec::new();
-    // SAFETY: POSIX has `environ` be null, or a list of C strings that ends with null. The strings are not freed before
-    // the process ends, and the list only by a change of the environment, which the caller excludes.
+    // SAFETY: by POSIX, `environ` is null, or a null-terminated list of C strings. The strings are not freed before the
+    // process ends, and the list only by a change of the environment, which the caller excludes.
     unsafe {
         let mut next = environ.load(Ordering::Acquire);
         while !next.is_null() && !(*next).is_null() {
@@ -48,8 +49,8 @@ pub fn set(name: &CStr, value: &CStr) {
     variables.extend(entry.map(CString::into_raw));
     variables.push(ptr::null_mut());
     let variables = Box::leak(variables.into_boxed_slice());
-    // SAFETY: the list has the form that POSIX asks for and lives until the process ends. The store is one of a
-    // pointer, so that `getenv` sees the old list or the new one.
+    // SAFETY: the list has the form that POSIX requires and lives until the process ends. Storing a pointer is atomic:
+    // `getenv` sees the old list or the new one.
     unsafe { environ.store(variables.as_mut_ptr(), Ordering::Release) }
 }
 
@@ -60,11 +61,11 @@ pub fn set_default(name: &CStr, value: &CStr) {
     }
 }
 
-/// The source tree in whose folder `target` cargo has put an executable; `None` for one that was installed or copied.
+/// Source tree whose folder `target` contains an executable built by cargo; `None` if it was installed or copied.
 pub fn source_tree(executable: &Path) -> Option<PathBuf> {
     let is_named = |folder: &Path, names: &[&str]| names.iter().any(|name| folder.ends_with(name));
     let mut profile = executable.parent()?;
-    // Where tests and examples lie.
+    // Folders of tests and examples.
     if is_named(profile, &["deps", "examples"]) {
         profile = profile.parent()?;
     }

@@ -1,7 +1,9 @@
-//! Memory that the C library keeps.
+//! Free memory that the C library retains.
 
-/// Gives memory that is free back to the system. What a stage of a long video took in small pieces stays with the
-/// process otherwise, and lies beneath all that later stages take.
+/// Returns free memory to the system.
+///
+/// Otherwise small allocations that a stage of a long video has freed stay with the process, and add to the memory of
+/// all later stages.
 pub fn give_back() {
     #[cfg(all(target_os = "linux", target_env = "gnu"))]
     trim();
@@ -13,7 +15,7 @@ fn trim() {
     unsafe extern "C" {
         fn malloc_trim(pad: usize) -> std::ffi::c_int;
     }
-    // SAFETY: the function of the C library that this target always has; it takes its own locks, and what is in use
-    // stays where it is.
+    // SAFETY: the C library of this target always has the function; it takes its own locks, and does not move memory in
+    // use.
     unsafe { malloc_trim(0) };
 }

@@ -1,4 +1,4 @@
-//! Bindings to foreign libraries behind safe types; the only room where `unsafe` may stand.
+//! Bindings to foreign libraries behind safe types; the only module that may contain `unsafe`.
 
 #[cfg(feature = "cli")]
 pub mod child;

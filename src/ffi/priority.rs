@@ -1,10 +1,9 @@
 //! Priority of threads.
 
-/// Lowers the priority of the calling thread: it gets what others leave of the processor. Linux only; elsewhere nothing
-/// happens.
+/// Lowers the priority of the calling thread: others take precedence. Linux only; a no-op elsewhere.
 pub fn lower() {
     // Nice value 10: about a tenth of a core that another thread wants as well. On Linux the "process" without an id is
-    // the calling thread. A refusal leaves the priority as it is.
+    // the calling thread. On failure the priority does not change.
     #[cfg(target_os = "linux")]
     let _ = rustix::process::setpriority_process(None, 10);
 }

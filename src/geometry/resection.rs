@@ -1,4 +1,4 @@
-//! Pose of a camera from points whose positions are known.
+//! Absolute pose of a camera from 2D–3D correspondences.
 
 use nalgebra::{Matrix6, Point2, Point3, UnitQuaternion, Vector3, Vector6};
 
@@ -7,17 +7,17 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, RobustLoss};
 use crate::robust::{self, Estimator};
 
-/// Pixels and the points seen there; both lists have one length.
+/// 2D–3D correspondences of a camera; both lists have the same length.
 pub struct PixelsAndPoints<'a> {
     /// The camera.
     pub camera: &'a Camera,
-    /// Where the points are seen.
+    /// Observed pixel positions.
     pub pixels: &'a [Point2<f64>],
-    /// Where they are, in the world.
+    /// Positions in the world.
     pub points: &'a [Point3<f64>],
 }
 
-/// A pose and what supports it.
+/// Absolute pose with its inliers.
 #[derive(Clone, Debug)]
 pub struct Resection {
     /// World to camera.
@@ -35,11 +35,11 @@ pub fn estimate(data: &PixelsAndPoints<'_>, max_error_px: f64, rng: &mut Rng) ->
     Some(Resection { cam_from_world: consensus.model, inliers: consensus.inliers })
 }
 
-/// Refines a pose known to be near (from a neighbour, or by interpolation) on all data, robustly.
+/// Refines a nearby initial pose (of a neighbor, or interpolated) robustly on all data.
 pub fn refine_from(data: &PixelsAndPoints<'_>, start: &Rigid3, max_error_px: f64) -> Option<Resection> {
     let all: Vec<usize> = (0..data.pixels.len()).collect();
     let mut pose = *start;
-    // A wide loss first, so that a start some pixels off is pulled in; then the threshold itself.
+    // A wide loss first, to converge from an initial pose some pixels off; then the threshold itself.
     for scale in [8.0 * max_error_px, 2.0 * max_error_px, 0.5 * max_error_px] {
         pose = gauss_newton(data, &pose, &all, RobustLoss::Cauchy { scale }, 8)?;
     }
@@ -84,8 +84,8 @@ fn reprojection_error_sq(data: &PixelsAndPoints<'_>, pose: &Rigid3, i: usize) ->
     }
 }
 
-/// Iteratively reweighted Gauss-Newton on the six degrees of freedom of the pose (a turn and a shift in camera
-/// coordinates); `None` when fewer than three data lie in front or the normal equations are singular.
+/// Iteratively reweighted Gauss-Newton on the six degrees of freedom of the pose (rotation and translation in camera
+/// coordinates); `None` if fewer than three points are in front of the camera or the normal equations are singular.
 fn gauss_newton(
     data: &PixelsAndPoints<'_>,
     start: &Rigid3,

@@ -1,4 +1,4 @@
-//! A point from the rays of many views, some of which may be wrong.
+//! Robust triangulation of a point from many views.
 
 use nalgebra::{Matrix3, Point2, Point3, Vector3};
 
@@ -6,14 +6,14 @@ use crate::bundle::Whitening;
 use crate::camera::Camera;
 use crate::math::{Rigid3, widest_angle};
 
-/// One view of the point.
+/// One observation of the point, with the camera and pose of its view.
 #[derive(Clone, Copy, Debug)]
 pub struct View<'a> {
     /// Intrinsics.
     pub camera: &'a Camera,
     /// World to camera.
     pub cam_from_world: &'a Rigid3,
-    /// Where the point is seen.
+    /// Observed position, pixels.
     pub pixel: Point2<f64>,
     /// Whitening of its error.
     pub whitening: Whitening,
@@ -38,11 +38,11 @@ impl View<'_> {
 pub struct Triangulated {
     /// Position in the world.
     pub position: Point3<f64>,
-    /// For each view, whether it agrees within the threshold.
+    /// True for each view whose error is within the threshold.
     pub inliers: Vec<bool>,
 }
 
-/// When a triangulation counts.
+/// Thresholds of a valid triangulation.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Limits {
     /// Largest reprojection error of an inlier, pixels.
@@ -51,8 +51,9 @@ pub struct Limits {
     pub min_angle: f64,
 }
 
-/// Triangulates by trying pairs of views with a wide angle, keeping the point on which most views agree, and refining
-/// it on those. `None` when fewer than two views agree or their rays are too nearly parallel.
+/// Triangulates a point from pairs of views with a wide angle, and refines the one with most inliers.
+///
+/// `None` if fewer than two views are inliers or their rays are too nearly parallel.
 pub fn triangulate(views: &[View<'_>], limits: &Limits) -> Option<Triangulated> {
     let rays: Vec<_> = views.iter().map(|v| (v.cam_from_world.center(), v.ray_in_world())).collect();
     let max_sq = limits.max_error_px * limits.max_error_px;
@@ -91,8 +92,9 @@ fn inliers_of(views: &[View<'_>], point: Point3<f64>, max_sq: f64) -> Vec<bool> 
     views.iter().map(|v| v.error_sq(point) <= max_sq).collect()
 }
 
-/// Pairs of views to try: all for few views; for many, each of some evenly spread ones with the one half the list away,
-/// which for a video is far in time and so wide in angle.
+/// Pairs of views to try: all for few views; for many, evenly spread views, each with the one half the list away.
+///
+/// In a video such a pair is far apart in time, and thus has a wide angle.
 fn candidate_pairs(n: usize) -> Vec<(usize, usize)> {
     // Ten pairs, about as many as are tried for longer tracks.
     if n <= 5 {

@@ -1,4 +1,4 @@
-//! Two-view geometry: verification of matches, relative pose, and whether two views can start a reconstruction.
+//! Two-view geometry: verification of matches, relative pose, and suitability as an initial pair.
 
 use nalgebra::{Matrix3, Point2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
@@ -7,17 +7,17 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, Rng, across, seeded_rng, svd3, upper_median};
 use crate::robust::{self, Consensus, Estimator};
 
-/// Relative pose of two calibrated views that see the same points.
+/// Relative pose of two calibrated views that observe the same points.
 #[derive(Clone, Debug)]
 pub struct TwoViewGeometry {
     /// Second camera from first; the translation has unit length.
     pub cam2_from_cam1: Rigid3,
-    /// Indices of the correspondences that agree with it and lie in front of both cameras.
+    /// Indices of the inliers in front of both cameras.
     pub inliers: Vec<usize>,
     /// Median angle at the inlier points between the rays to both cameras, radians.
     pub median_angle: f64,
-    /// Inliers of the best homography over inliers of the epipolar geometry: near one for a planar scene or a camera
-    /// that only turns.
+    /// Inliers of the best homography over inliers of the epipolar geometry: near one for a planar scene or a purely
+    /// rotating camera.
     pub homography_ratio: f64,
     /// That homography, second view from first.
     pub homography: Option<Matrix3<f64>>,
@@ -25,7 +25,7 @@ pub struct TwoViewGeometry {
     pub homography_share: f64,
 }
 
-/// Undistorted positions on the plane z = 1 of the same points in two views; both lists have one length.
+/// Undistorted positions on the plane z = 1 of the same points in two views; both lists have the same length.
 pub struct Correspondences {
     /// First view.
     pub first: Vec<Vector2<f64>>,
@@ -34,7 +34,7 @@ pub struct Correspondences {
 }
 
 impl Correspondences {
-    /// From the pixels of each point in both views, and the cameras of these.
+    /// Correspondences from the pixels of each point in both views, and the cameras.
     pub fn new([a, b]: [&Camera; 2], pixels: impl IntoIterator<Item = [Point2<f64>; 2]>) -> Self {
         let normalized = |[p, q]: [Point2<f64>; 2]| (a.normalized_from_pixel(p), b.normalized_from_pixel(q));
         let (first, second) = pixels.into_iter().map(normalized).unzip();
@@ -42,26 +42,26 @@ impl Correspondences {
     }
 }
 
-/// Geometric mean of the focal lengths of two cameras: pixels per normalised unit of their [`Correspondences`].
+/// Geometric mean of the focal lengths of two cameras: pixels per normalized unit of their [`Correspondences`].
 pub fn mean_focal([first, second]: [&Camera; 2]) -> f64 {
     (first.mean_focal() * second.mean_focal()).sqrt()
 }
 
-/// Random numbers for a pair of views.
+/// Random number generator for a pair of views.
 pub fn pair_rng(seed: u64, [first, second]: [usize; 2]) -> Rng {
     seeded_rng(seed, (first as u64) << 32 | second as u64)
 }
 
-/// Finds the relative pose by five-point LO-RANSAC on the Sampson distance.
+/// Estimates the relative pose by five-point LO-RANSAC on the Sampson distance.
 ///
-/// * `max_error` – threshold in normalised units: pixels over the focal length.
+/// * `max_error` – threshold in normalized units: pixels over the focal length.
 ///
 /// `None` when no essential matrix is supported by more than its own sample.
 pub fn estimate(pairs: &Correspondences, max_error: f64, rng: &mut Rng) -> Option<TwoViewGeometry> {
     estimate_with(pairs, max_error, 0, rng)
 }
 
-/// The same where a pose with fewer than `least_inliers` is of no use: it may be another one than the best, or none.
+/// As [`estimate`], but a pose with fewer than `least_inliers` inliers may be suboptimal or missing.
 pub fn estimate_with(
     pairs: &Correspondences,
     max_error: f64,
@@ -72,7 +72,7 @@ pub fn estimate_with(
     let essential = robust::ransac(&EssentialEstimator(pairs), &options, rng)?;
     let (cam2_from_cam1, inliers) = pose_in_front(pairs, &essential)?;
     let angles = inliers.iter().filter_map(|&i| ray_angle(pairs, &cam2_from_cam1, i)).collect();
-    // A share is asked for, not a model: where no plane dominates, more samples would only say so more slowly.
+    // Only the inlier ratio is needed: without a dominant plane, more samples cost time and do not change the result.
     let few = robust::Options { max_iterations: 200, least_inliers: 0, ..options };
     let homography = robust::ransac(&HomographyEstimator(pairs), &few, rng);
     let homography_inliers = homography.as_ref().map_or(0, |h| h.inliers.len());
@@ -86,15 +86,13 @@ pub fn estimate_with(
     })
 }
 
-/// Which correspondences agree with one epipolar geometry: what is left of raw matches after verification. Empty when
-/// there is none.
+/// Geometric verification: indices of the matches consistent with one epipolar geometry. Empty if there is none.
 pub fn verify(pairs: &Correspondences, max_error: f64, rng: &mut Rng) -> Vec<usize> {
     let options = robust::Options { max_iterations: 1000, ..robust::Options::with_max_error(max_error) };
     robust::ransac(&EssentialEstimator(pairs), &options, rng).map(|c| c.inliers).unwrap_or_default()
 }
 
-/// Number of correspondences that agree with the epipolar geometry of a given motion; `None` for a motion without a
-/// translation, which has none.
+/// Number of inliers of the epipolar geometry of a given motion; `None` for zero translation, which has none.
 pub fn num_explained(pairs: &Correspondences, cam2_from_cam1: &Rigid3, max_error: f64) -> Option<usize> {
     let direction = cam2_from_cam1.translation.try_normalize(f64::EPSILON)?;
     let essential = essential_from_pose(&Rigid3::new(cam2_from_cam1.rotation, direction));
@@ -103,17 +101,18 @@ pub fn num_explained(pairs: &Correspondences, cam2_from_cam1: &Rigid3, max_error
     Some((0..pairs.first.len()).filter(fits).count())
 }
 
-/// As [`verify`] for two cameras whose focal lengths may be known to a third only, each wrong in its own way: a common
-/// factor bends an epipolar geometry little, a ratio much, so that several ratios are tried and the one that explains
-/// most is taken.
+/// As [`verify`], for two cameras whose focal lengths may have independent errors of up to a third.
+///
+/// A common factor changes an epipolar geometry little, a ratio much. Therefore several ratios are tried, and the one
+/// with most inliers is chosen.
 pub fn verify_of_two_cameras(pairs: &Correspondences, max_error: f64, rng: &mut Rng) -> Vec<usize> {
     let mut best = verify(pairs, max_error, rng);
     for ratio in [0.75_f64, 4.0 / 3.0, 0.5625, 16.0 / 9.0] {
-        // With fewer inliers an error of the ratio may be the cause, and the others are tried.
+        // With fewer inliers the ratio may be wrong, and the others are tried.
         if best.len() as f64 >= 0.7 * pairs.first.len() as f64 {
             break;
         }
-        // Half of it on either side, so that errors of both count as before.
+        // Half of the factor on either side, so that the errors of both are weighted as before.
         let scaled = |side: &[Vector2<f64>], factor: f64| side.iter().map(|p| p * factor).collect::<Vec<_>>();
         let (first, second) = (scaled(&pairs.first, ratio.sqrt()), scaled(&pairs.second, ratio.sqrt().recip()));
         let found = verify(&Correspondences { first, second }, max_error, rng);
@@ -157,8 +156,8 @@ fn pose_in_front(pairs: &Correspondences, essential: &Consensus<Matrix3<f64>>) -
         .filter(|(_, inliers)| !inliers.is_empty())
 }
 
-/// Iterations from a matrix to its rotation: nalgebra's limit is none, and of an essential matrix near zero the
-/// singular vectors may not be orthonormal, so that it does not end. Others take a few dozen.
+/// Maximum iterations from a matrix to its nearest rotation: a few dozen suffice. nalgebra's default has no limit, and
+/// near a zero essential matrix the singular vectors may not be orthonormal, so that it does not terminate.
 const MAX_ITERATIONS: usize = 200;
 
 /// The four poses with unit translation of an essential matrix (Hartley, Zisserman, section 9.6.2).
@@ -256,7 +255,7 @@ fn essential_from_pose(pose: &Rigid3) -> Matrix3<f64> {
     pose.translation.cross_matrix() * pose.rotation.to_rotation_matrix().matrix() / std::f64::consts::SQRT_2
 }
 
-/// Turns by the first three components and moves the translation on its sphere by the last two.
+/// Rotates by the first three components and moves the translation on its unit sphere by the last two.
 fn perturbed(pose: &Rigid3, delta: &SVector<f64, 5>) -> Rigid3 {
     let turn = UnitQuaternion::from_scaled_axis(Vector3::new(delta[0], delta[1], delta[2]));
     let t = pose.translation;
@@ -295,7 +294,7 @@ mod tests {
     use super::*;
     use rand::Rng as _;
 
-    /// Points in a box before two cameras, as seen by both, with outliers at the end.
+    /// Points in a box in front of two cameras, projected into both, with outliers at the end.
     fn views(truth: &Rigid3, planar: bool, outliers: usize) -> (Vec<Vector2<f64>>, Vec<Vector2<f64>>) {
         let mut rng = seeded_rng(5, 1);
         let mut pairs: Vec<_> = (0..200)

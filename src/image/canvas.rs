@@ -1,4 +1,4 @@
-//! Lines, plates and words drawn into a picture.
+//! Drawing of lines and text labels into an image.
 
 use ::image::RgbImage;
 use nalgebra::Point2;
@@ -7,14 +7,14 @@ use opencv::imgproc::{self, FILLED, FONT_HERSHEY_SIMPLEX, LINE_8, LINE_AA};
 
 use super::{ImageError, mat_from_rgb, rgb_from_mat};
 
-/// A picture that is drawn into.
+/// An image to draw into.
 pub struct Canvas {
     mat: Mat,
     width: f64,
     height: f64,
 }
 
-/// Where words stand, pixels.
+/// Background rectangle of a text label, pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Plate {
     /// Its left edge.
@@ -35,27 +35,28 @@ impl Plate {
     }
 }
 
-/// Lines are placed to a sixteenth of a pixel.
+/// Fractional bits of line coordinates: a sixteenth of a pixel.
 const SUBPIXEL_BITS: i32 = 4;
-/// The sign that the font lacks.
+/// Sign that the font lacks.
 const PLUS_MINUS: char = '±';
-/// The font at size 1 has capitals of so many pixels.
+/// Height of a capital letter of the font at scale 1, pixels.
 const CAPITAL_PX: f64 = 22.0;
-/// Of a plate round its words, as a share of a capital's height.
+/// Margin of a plate around its text, as a fraction of a capital's height.
 const MARGIN: f64 = 0.45;
 
 impl Canvas {
-    /// A copy of a picture.
+    /// Canvas with a copy of an image.
     ///
     /// # Errors
-    /// [`ImageError`] if OpenCV refuses; the same for all that is drawn.
+    /// [`ImageError`] if OpenCV fails; the same for all drawing methods.
     pub fn new(picture: &RgbImage) -> Result<Self, ImageError> {
         let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
         Ok(Self { mat: mat_from_rgb(picture)?, width, height })
     }
 
-    /// A straight line between two places, pixels with the first centre at (0.5, 0.5). One that lies far outside is
-    /// left out.
+    /// Draws a straight line between two positions, pixels with the first center at (0.5, 0.5).
+    ///
+    /// A line with an end far outside the image is skipped.
     pub fn line(
         &mut self,
         from: Point2<f64>,
@@ -77,9 +78,9 @@ impl Canvas {
         (-self.width..=2.0 * self.width).contains(&place.x) && (-self.height..=2.0 * self.height).contains(&place.y)
     }
 
-    /// The plate that words need, moved so that it stays in the picture.
+    /// Plate that fits a text, shifted into the image.
     ///
-    /// * `lower_left` – of the plate, pixels.
+    /// * `lower_left` – corner of the plate, pixels.
     /// * `capital_px` – height of a capital letter.
     pub fn plate(&self, text: &str, lower_left: Point2<f64>, capital_px: f64) -> Result<Plate, ImageError> {
         let margin = MARGIN * capital_px;
@@ -90,7 +91,7 @@ impl Canvas {
         Ok(Plate { left, top: bottom - height, width, height })
     }
 
-    /// Words on a plate of theirs. Letters outside ASCII become `?`, but for `±`.
+    /// Draws text on a plate. Characters outside ASCII become `?`, except `±`.
     pub fn words(&mut self, text: &str, plate: &Plate, capital_px: f64, colour: [u8; 3]) -> Result<(), ImageError> {
         let (width, height) = (plate.width.ceil() as i32, plate.height.ceil() as i32);
         let rect = Rect::new(plate.left as i32, plate.top as i32, width, height);
@@ -115,7 +116,7 @@ impl Canvas {
         let plain = shown.replace(PLUS_MINUS, "+");
         let (font, ink) = (FONT_HERSHEY_SIMPLEX, scalar(ink));
         imgproc::put_text(&mut self.mat, &plain, at(base.x, base.y), font, scale, ink, thickness, LINE_AA, false)?;
-        // The bar below each plus that is to be one or minus.
+        // The bar below each plus sign that represents `±`.
         for (index, _) in shown.match_indices(PLUS_MINUS) {
             let before = self.text_width(&shown[..index], capital_px)?;
             let sign = self.text_width("+", capital_px)?;
@@ -126,18 +127,18 @@ impl Canvas {
         Ok(())
     }
 
-    /// The picture with what was drawn.
+    /// The resulting image.
     pub fn finish(self) -> Result<RgbImage, ImageError> {
         rgb_from_mat(&self.mat)
     }
 }
 
-/// Of the strokes of letters, pixels.
+/// Stroke thickness of letters, pixels.
 fn thickness(capital_px: f64) -> i32 {
     (capital_px / 9.0).round().max(1.0) as i32
 }
 
-/// Text that the font can show.
+/// Text with characters missing from the font replaced.
 fn shown(text: &str) -> String {
     text.chars().map(|c| if c == PLUS_MINUS || c == ' ' || c.is_ascii_graphic() { c } else { '?' }).collect()
 }

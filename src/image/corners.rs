@@ -7,9 +7,9 @@ use super::{GrayImage, mirrored};
 /// The smaller eigenvalue of the structure tensor at every pixel (J. Shi, C. Tomasi, *Good Features to Track*, CVPR
 /// 1994), row-major.
 ///
-/// The tensor is summed over 3 × 3 pixels, of gradients by Sobel's 3 × 3 operator; a picture goes on beyond its border
-/// as its mirror image. Values are scaled as those of OpenCV's `cornerMinEigenVal` (grey between 0 and 1, gradients
-/// over 12). All sums are whole numbers below 2²⁴, so that they are exact.
+/// The tensor is summed over 3 × 3 pixels, with gradients by the 3 × 3 Sobel operator; borders are mirrored. Values are
+/// scaled as those of OpenCV's `cornerMinEigenVal` (gray between 0 and 1, gradients over 12). All sums are integers
+/// below 2²⁴, and thus exact.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct CornerStrength {
     width: usize,
@@ -17,12 +17,12 @@ pub struct CornerStrength {
 }
 
 impl CornerStrength {
-    /// Of a picture.
+    /// Corner strength of an image.
     pub fn of(image: &GrayImage) -> Self {
         Arch::new().dispatch(Work(image))
     }
 
-    /// A row of the picture.
+    /// Values of a row of the image.
     pub fn row(&self, y: usize) -> &[f32] {
         &self.values[y * self.width..(y + 1) * self.width]
     }
@@ -38,7 +38,7 @@ impl CornerStrength {
     }
 }
 
-/// For whatever vector instructions the processor has.
+/// Computation compiled for all vector instruction sets, dispatched at run time.
 struct Work<'a>(&'a GrayImage);
 
 impl WithSimd for Work<'_> {
@@ -56,7 +56,7 @@ impl WithSimd for Work<'_> {
         let mut products: [Products; 3] = std::array::from_fn(|_| Products::new(width));
         let mut sums = Products::new(width);
         for (y, out) in values.chunks_exact_mut(width).enumerate() {
-            // Rows y - 1, y and y + 1, at their places modulo 3; the first and the last are mirrored at the border.
+            // Rows y - 1, y and y + 1, at their indices modulo 3; the first and the last are mirrored at the border.
             for next in (if y == 0 { 0 } else { y + 1 })..(y + 2).min(height) {
                 let around = [mirrored(next as i64 - 1, height), next, mirrored(next as i64 + 1, height)];
                 gradients.fill(around.map(row));
@@ -101,7 +101,7 @@ impl Gradients {
     }
 }
 
-/// Products of the gradient with itself: across, mixed, down, with one more value at each end.
+/// Products of gradient components: xx, xy, yy, with one more value at each end.
 struct Products([Vec<f32>; 3]);
 
 impl Products {
@@ -135,7 +135,7 @@ impl Products {
 
     #[inline(always)]
     fn write_smaller_eigenvalues(&self, out: &mut [f32]) {
-        /// Sobel's operator weighs eight, of which half count; three rows, 255 grey values; squared.
+        /// Scale of products: Sobel weights of total 4 on either side, three rows, 255 gray values; squared.
         const SCALE: f32 = 1.0 / (4.0 * 3.0 * 255.0 * 4.0 * 3.0 * 255.0);
         let width = out.len();
         let [xx, xy, yy] = self.0.each_ref().map(|row| &row[..width + 2]);

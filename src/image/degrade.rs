@@ -1,4 +1,4 @@
-//! Pictures made worse on purpose, to see what a method withstands.
+//! Artificial degradation of images, for robustness tests.
 
 use ::image::RgbImage;
 use opencv::core::{Mat, Size};
@@ -9,10 +9,10 @@ use rand_distr::StandardNormal;
 use super::{ImageError, borrowed_rgb, rgb_from_mat};
 use crate::math::Rng;
 
-/// Blurred by a Gaussian of this standard deviation, pixels.
+/// Image blurred by a Gaussian of this standard deviation, pixels.
 ///
 /// # Errors
-/// [`ImageError`] if OpenCV refuses.
+/// [`ImageError`] if OpenCV fails.
 pub fn blurred(image: &RgbImage, sigma_px: f64) -> Result<RgbImage, ImageError> {
     let mut result = Mat::default();
     let size_by_sigma = Size::new(0, 0);
@@ -20,7 +20,7 @@ pub fn blurred(image: &RgbImage, sigma_px: f64) -> Result<RgbImage, ImageError> 
     rgb_from_mat(&result)
 }
 
-/// With Gaussian noise of this standard deviation, grey levels, in every channel of every pixel.
+/// Image with Gaussian noise of this standard deviation, gray levels, in every channel of every pixel.
 pub fn noisy(image: &RgbImage, sigma: f64, rng: &mut Rng) -> RgbImage {
     let mut result = image.clone();
     for value in result.iter_mut() {

@@ -9,7 +9,7 @@ use super::{ImageError, borrowed_gray};
 
 /// Straight edges of an image (R. Grompone von Gioi et al., *LSD: a Line Segment Detector*, IPOL 2012).
 ///
-/// * returns – both ends of each, pixels, the corner of the first pixel at (0, 0).
+/// * returns – both endpoints of each, pixels, the corner of the first pixel at (0, 0).
 ///
 /// # Errors
 /// [`ImageError::OpenCv`], also where OpenCV was built without the detector (versions 4.1 to 4.5.3).

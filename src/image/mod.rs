@@ -1,11 +1,10 @@
-//! Pixel buffers, and the one way between them and OpenCV.
+//! Pixel buffers, and their conversion to and from OpenCV.
 //!
-//! Frames travel as [`RgbImage`] and [`GrayImage`] of the `image` crate, whose rows follow one another without gaps.
-//! What calls OpenCV turns them into a `Mat` here and back again. The `mat_*` functions copy: a `Mat` made here owns
-//! its pixels and may go where it likes. [`borrowed_gray`] and [`borrowed_rgb`] do not copy and live as long as their
-//! source.
+//! Frames are [`RgbImage`] and [`GrayImage`] of the `image` crate, whose rows are contiguous. Callers of OpenCV convert
+//! them to a `Mat` and back by this module. The `mat_*` functions copy: the `Mat` owns its pixels. [`borrowed_gray`]
+//! and [`borrowed_rgb`] do not copy, and borrow from their source.
 //!
-//! Channel order is red, green, blue in both worlds unless a name says `bgr`.
+//! Channel order is red, green, blue in both libraries unless a name contains `bgr`.
 
 mod canvas;
 mod corners;
@@ -31,13 +30,13 @@ pub use ::image::{GrayImage, RgbImage};
 /// Errors of pixel buffers.
 #[derive(Debug, thiserror::Error)]
 pub enum ImageError {
-    /// OpenCV refused; its message says which check failed.
+    /// OpenCV failed; its message names the failed check.
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),
     /// A side is beyond what OpenCV can index.
     #[error("image side {0}: larger than 2^31 - 1 pixels")]
     Side(#[from] TryFromIntError),
-    /// A buffer has not the size that width, height and channels ask for.
+    /// The size of a buffer does not match width, height and channels.
     #[error("pixel buffer of {found} values does not match {width}x{height} with {channels} channel(s)")]
     BufferSize {
         /// Width, pixels.
@@ -52,14 +51,14 @@ pub enum ImageError {
     /// A matrix holds another pixel type than the target.
     #[error("OpenCV matrix of type {found} cannot be converted to an image of type {expected}")]
     PixelType {
-        /// OpenCV's type number that was asked for.
+        /// OpenCV's number of the expected type.
         expected: i32,
-        /// OpenCV's type number that was found.
+        /// OpenCV's number of the actual type.
         found: i32,
     },
 }
 
-/// An index of a row that goes on beyond its ends as its mirror image; the row is not empty.
+/// Index into a non-empty row, mirrored at its ends.
 #[inline(always)]
 fn mirrored(index: i64, len: usize) -> usize {
     let last = len as i64 - 1;

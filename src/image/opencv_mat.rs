@@ -35,7 +35,7 @@ pub(super) fn mat_from_matrix<const R: usize, const C: usize>(map: &SMatrix<f64,
     Ok(Mat::new_rows_cols_with_data::<f64>(R as i32, C as i32, &rows)?.try_clone()?)
 }
 
-/// A grey image from a one-channel 8-bit matrix.
+/// A gray image from a one-channel 8-bit matrix.
 ///
 /// # Errors
 /// [`ImageError::PixelType`] for any other kind of matrix.
@@ -43,7 +43,7 @@ pub fn gray_from_mat(mat: &impl MatTraitConst) -> Result<GrayImage, ImageError> 
     image_from_mat(mat, CV_8UC1)
 }
 
-/// A colour image from a three-channel 8-bit matrix in the order red, green, blue.
+/// A color image from a three-channel 8-bit matrix in the order red, green, blue.
 ///
 /// # Errors
 /// [`ImageError::PixelType`] for any other kind of matrix.
@@ -51,7 +51,7 @@ pub fn rgb_from_mat(mat: &impl MatTraitConst) -> Result<RgbImage, ImageError> {
     image_from_mat(mat, CV_8UC3)
 }
 
-/// An image from a matrix of the type that is expected, which may be a view into a larger one.
+/// An image from a matrix of the expected type, which may be a view into a larger one.
 fn image_from_mat<P: Pixel<Subpixel = u8>>(
     mat: &impl MatTraitConst,
     expected: i32,

@@ -1,4 +1,4 @@
-//! A frame, and what several of its users need of it.
+//! A frame with shared derived data.
 
 use std::cell::OnceCell;
 use std::sync::Arc;
@@ -24,8 +24,8 @@ impl<'a> Picture<'a> {
         self.rgb
     }
 
-    /// The gray pyramid with some smaller images. The number of the first call is that of all users of a kind; another
-    /// one gets a pyramid of its own.
+    /// Gray pyramid with `num_smaller` smaller images. The pyramid of the first call is cached; a call with another
+    /// number computes a separate one.
     ///
     /// # Errors
     /// [`ImageError::OpenCv`] if OpenCV fails.
@@ -38,14 +38,14 @@ impl<'a> Picture<'a> {
         Ok(pyramid)
     }
 
-    /// The strength of the corners of the whole frame.
+    /// Corner strength of the whole frame.
     ///
     /// * `gray` – the frame in gray.
     pub fn corners(&self, gray: &Pyramid) -> &CornerStrength {
         self.corners.get_or_init(|| CornerStrength::of(gray.picture()))
     }
 
-    /// That, if another user has asked for it.
+    /// Corner strength, if already computed.
     pub fn known_corners(&self) -> Option<&CornerStrength> {
         self.corners.get()
     }

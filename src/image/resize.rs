@@ -1,4 +1,4 @@
-//! Other sizes and grey.
+//! Resizing, warping and conversion to gray.
 
 use ::image::{GrayImage, RgbImage};
 use nalgebra::{Matrix2x3, Matrix3, Vector2};
@@ -8,7 +8,7 @@ use opencv::imgproc;
 use super::opencv_mat::mat_from_matrix;
 use super::{ImageError, borrowed_gray, borrowed_rgb, gray_from_mat, rgb_from_mat};
 
-/// The luma of a colour image, as OpenCV weighs it (0.299 R + 0.587 G + 0.114 B).
+/// Luma of a color image, with OpenCV's weights (0.299 R + 0.587 G + 0.114 B).
 pub fn gray_from_rgb(image: &RgbImage) -> Result<GrayImage, ImageError> {
     if image.is_empty() {
         return Ok(GrayImage::new(image.width(), image.height()));
@@ -18,7 +18,7 @@ pub fn gray_from_rgb(image: &RgbImage) -> Result<GrayImage, ImageError> {
     gray_from_mat(&gray)
 }
 
-/// A colour image at another size: averaged over areas when it shrinks, linearly interpolated when it grows. Pixel
+/// A color image at another size: averaged over areas when it shrinks, linearly interpolated when it grows. Pixel
 /// corners map to pixel corners, so that (0, 0) stays (0, 0).
 pub fn resize_rgb(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage, ImageError> {
     if (width, height) == image.dimensions() {
@@ -27,8 +27,9 @@ pub fn resize_rgb(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage,
     rgb_from_mat(&resized(&borrowed_rgb(image)?, width, height)?)
 }
 
-/// The same at a tenth of the cost where it shrinks by little: linearly interpolated, which passes no pixel over until
-/// the sides are less than two thirds.
+/// As [`resize_rgb`], at a tenth of the cost for slight shrinking.
+///
+/// It interpolates linearly, which skips no pixel until the sides are less than two thirds.
 pub fn resize_rgb_quickly(image: &RgbImage, width: u32, height: u32) -> Result<RgbImage, ImageError> {
     let shrinks_much = 3 * width < 2 * image.width() || 3 * height < 2 * image.height();
     if shrinks_much || (width, height) == image.dimensions() {
@@ -37,7 +38,7 @@ pub fn resize_rgb_quickly(image: &RgbImage, width: u32, height: u32) -> Result<R
     rgb_from_mat(&resized_by(&borrowed_rgb(image)?, width, height, imgproc::INTER_LINEAR)?)
 }
 
-/// A grey image at another size; as [`resize_rgb`].
+/// A gray image at another size; as [`resize_rgb`].
 pub fn resize_gray(image: &GrayImage, width: u32, height: u32) -> Result<GrayImage, ImageError> {
     if (width, height) == image.dimensions() {
         return Ok(image.clone());
@@ -45,7 +46,7 @@ pub fn resize_gray(image: &GrayImage, width: u32, height: u32) -> Result<GrayIma
     gray_from_mat(&resized(&borrowed_gray(image)?, width, height)?)
 }
 
-/// A grey image under an affine map, linearly interpolated; what lies next to it looks like its border.
+/// A gray image under an affine map, linearly interpolated; its border is replicated outside.
 ///
 /// * `source_from_target` – 2 × 3, pixels whose corner is at (0, 0) in both.
 pub fn warp_gray(
@@ -65,7 +66,7 @@ pub fn warp_gray(
     gray_from_mat(&out)
 }
 
-/// A color image under a homography, linearly interpolated, of the same size; what lies next to it is black.
+/// A color image under a homography, linearly interpolated, of the same size; black outside.
 ///
 /// * `target_from_source` – pixels whose corner is at (0, 0) in both.
 pub fn warp_rgb(image: &RgbImage, target_from_source: &Matrix3<f64>) -> Result<RgbImage, ImageError> {

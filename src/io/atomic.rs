@@ -1,10 +1,11 @@
-//! Whole files or none: what is written appears under its name only when it is complete and on the disk.
+//! Atomic file writes: a file appears under its name only when it is complete and on the disk.
 //!
 //! A file is written under a temporary name in the folder where it belongs (a rename is atomic only within one file
-//! system), flushed, synchronised, renamed, and then the folder is synchronised, since power can fail at any moment. A
+//! system), flushed, synchronized, renamed, and then the folder is synchronized, since power can fail at any moment. A
 //! process that is killed can leave a temporary file behind, never half of a real one; [`remove_leftovers`] clears
-//! them. What is prepared in a folder without a place (`UNPLACED`) is synchronised once, as a whole, by who gives it
-//! one. Whole folders, and files among those of others, are [`OwnedFolder`](super::OwnedFolder)'s matter.
+//! them. Files prepared in a folder without a final place (`UNPLACED`) are synchronized once, as a whole, by the code
+//! that moves the folder to its place. Whole folders, and files next to foreign ones, are written by
+//! [`OwnedFolder`](super::OwnedFolder).
 
 use std::fs::{self, File, Permissions};
 use std::io::{BufWriter, Write};
@@ -16,13 +17,13 @@ use tempfile::{Builder, NamedTempFile};
 
 use super::IoError;
 
-/// Prefix of temporary names; nothing else in an output folder has it.
+/// Prefix of temporary names, not used by any other file of an output folder.
 const TEMPORARY_PREFIX: &str = ".tractrix-";
 
-/// Prefix of a folder in which something is prepared that has no final place yet: after a power failure it is ignored.
+/// Prefix of a preparation folder without a final place; it is ignored after a power failure.
 pub(super) const UNPLACED: &str = ".tractrix-new-";
 
-/// Writes a whole file, replacing one that is there. Missing folders above it are made.
+/// Writes a whole file, replacing an existing one. Missing parent folders are created.
 pub fn write(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
     write_with(path, |out| out.write_all(bytes))
 }
@@ -30,16 +31,16 @@ pub fn write(path: &Path, bytes: &[u8]) -> Result<(), IoError> {
 /// Writes a value as indented JSON, ending in a newline.
 ///
 /// # Errors
-/// As [`write()`]; [`IoError::Content`] if the value cannot be JSON.
+/// As [`write()`]; [`IoError::Content`] if the value cannot be represented in JSON.
 pub fn write_json<T: Serialize>(path: &Path, value: &T) -> Result<(), IoError> {
     let mut text = serde_json::to_vec_pretty(value).map_err(|e| IoError::content(path, e.to_string()))?;
     text.push(b'\n');
     write(path, &text)
 }
 
-/// Writes a file through `fill`, which gets a buffered writer; it replaces `path` only if all went well.
+/// Writes a file through `fill`, which gets a buffered writer; it replaces `path` only on success.
 pub fn write_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Result<()>) -> Result<(), IoError> {
-    let mut file = beside(path)?;
+    let mut file = temporary_file(path)?;
     let written = {
         let mut buffered = BufWriter::new(file.as_file_mut());
         fill(&mut buffered).and_then(|()| buffered.flush())
@@ -48,20 +49,20 @@ pub fn write_with(path: &Path, fill: impl FnOnce(&mut dyn Write) -> std::io::Res
     put(file, path)
 }
 
-/// As [`write_with`], through `fill`, which gets the name of an empty file to open and fill by itself.
+/// As [`write_with`], through `fill`, which gets the name of an empty file to open and fill.
 #[cfg(feature = "database")]
 pub fn write_through(path: &Path, fill: impl FnOnce(&Path) -> Result<(), IoError>) -> Result<(), IoError> {
-    let file = beside(path)?;
+    let file = temporary_file(path)?;
     fill(file.path())?;
     put(file, path)
 }
 
-/// An empty file under a temporary name in the folder of `path`.
-fn beside(path: &Path) -> Result<NamedTempFile, IoError> {
+/// Creates an empty file under a temporary name in the folder of `path`.
+fn temporary_file(path: &Path) -> Result<NamedTempFile, IoError> {
     let folder = parent(path);
     create_folders(folder)?;
     let mut builder = Builder::new();
-    // The process's umask takes its share off these, as for any new file.
+    // The process's umask applies to these, as for any new file.
     builder.prefix(TEMPORARY_PREFIX).permissions(Permissions::from_mode(0o666));
     builder.tempfile_in(folder).map_err(IoError::system("write into", folder))
 }
@@ -78,12 +79,12 @@ fn has_place(path: &Path) -> bool {
     !path.components().any(|part| part.as_os_str().as_encoded_bytes().starts_with(UNPLACED.as_bytes()))
 }
 
-/// Synchronises a folder, if what is in it has its place.
+/// Synchronizes a folder whose content has its final place.
 fn sync_placed(folder: &Path) -> Result<(), IoError> {
     if has_place(folder) { sync_folder(folder) } else { Ok(()) }
 }
 
-/// Removes a file, if it is there, so that it does not come back after a power failure.
+/// Removes a file, if it exists, so that it does not reappear after a power failure.
 ///
 /// # Errors
 /// [`IoError::System`] names the file.
@@ -91,7 +92,7 @@ pub fn remove(path: &Path) -> Result<(), IoError> {
     removed(path, fs::remove_file(path))
 }
 
-/// As [`remove`], of a folder with all that is in it.
+/// As [`remove`], for a folder with all its content.
 ///
 /// # Errors
 /// As [`remove`].
@@ -107,15 +108,15 @@ fn removed(path: &Path, result: std::io::Result<()>) -> Result<(), IoError> {
     }
 }
 
-/// Returns true if a name is one under which an incomplete file is written.
+/// Returns true if a name is that of an incomplete file.
 pub(super) fn is_temporary(name: &str) -> bool {
     name.starts_with(TEMPORARY_PREFIX)
 }
 
-/// Makes a folder and those above it that are missing, so that they are there after a power failure, too.
+/// Creates a folder and its missing parents, so that they survive a power failure.
 ///
 /// # Errors
-/// [`IoError::System`] names the folder that cannot be made.
+/// [`IoError::System`] names the folder that cannot be created.
 pub fn create_folders(folder: &Path) -> Result<(), IoError> {
     if folder.is_dir() {
         return Ok(());
@@ -132,8 +133,8 @@ pub fn create_folders(folder: &Path) -> Result<(), IoError> {
     }
 }
 
-/// Removes temporary files and folders that a killed process left in `folder` or in folders below it; returns how many.
-/// Links are not followed.
+/// Removes temporary files and folders of a killed process in `folder` and below it; returns their number. Links are
+/// not followed.
 ///
 /// No other process may be writing there.
 pub fn remove_leftovers(folder: &Path) -> Result<usize, IoError> {
@@ -162,7 +163,7 @@ fn parent(path: &Path) -> &Path {
 
 pub(super) fn sync_folder(folder: &Path) -> Result<(), IoError> {
     match File::open(folder).and_then(|f| f.sync_all()) {
-        // A folder that may be written into and not be read cannot be synchronised by anybody.
+        // A folder with write but no read permission cannot be synchronized.
         Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => Ok(()),
         done => done.map_err(IoError::system("synchronise", folder)),
     }
@@ -223,7 +224,7 @@ mod tests {
     }
 
     #[test]
-    fn only_what_has_a_place_is_synchronised_by_itself() {
+    fn only_files_with_a_final_place_are_synchronized_individually() {
         assert!(
             ["out/run.json", "out/.tractrix/frames.json", "tmp/.tractrix-x1"].map(Path::new).map(has_place)
                 == [true; 3]

@@ -2,20 +2,20 @@
 
 use std::path::{Path, PathBuf};
 
-/// A file that cannot be read or written, or that does not hold what it should; every variant names it.
+/// Error of reading or writing a file, or of its content; every variant names the file.
 #[derive(Debug, thiserror::Error)]
 pub enum IoError {
-    /// The operating system refuses.
+    /// Error of the operating system.
     #[error("cannot {action} {}", path.display())]
     System {
         /// Attempted action: `read`, `write`, `replace`, …
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason given by the system.
         source: std::io::Error,
     },
-    /// A line of a text file is wrong.
+    /// Invalid line of a text file.
     #[error("{}, line {line}: {field}: {problem}", path.display())]
     Line {
         /// The file.
@@ -27,19 +27,19 @@ pub enum IoError {
         /// Problem.
         problem: String,
     },
-    /// A binary file breaks off, or holds an impossible value.
+    /// Truncated binary file, or impossible value in it.
     #[error("{}, byte {offset}: {field}: {problem}", path.display())]
     Byte {
         /// The file.
         path: PathBuf,
-        /// Where the field starts.
+        /// Start of the field.
         offset: usize,
         /// The field at fault.
         field: String,
         /// Problem.
         problem: String,
     },
-    /// The file is whole, but its content does not hold together.
+    /// Complete file with inconsistent content.
     #[error("{}: {problem}", path.display())]
     Content {
         /// The file or folder.
@@ -47,7 +47,7 @@ pub enum IoError {
         /// Problem, with its entry.
         problem: String,
     },
-    /// The file is valid, but uses something that this program does not do.
+    /// Valid file with an unsupported feature.
     #[error("{}: {what} is not supported; {cure}", path.display())]
     Unsupported {
         /// The file.
@@ -57,39 +57,39 @@ pub enum IoError {
         /// Remedy.
         cure: String,
     },
-    /// A picture of another size than the frame that it belongs to.
+    /// Image of another size than its frame.
     #[error(
         "{}: image of {}×{} pixels, its frame has {}×{}",
         path.display(), found.0, found.1, expected.0, expected.1
     )]
     WrongSize {
-        /// The picture.
+        /// The image.
         path: PathBuf,
         /// Width and height of the frame.
         expected: (u32, u32),
-        /// Width and height of the picture.
+        /// Width and height of the image.
         found: (u32, u32),
     },
 }
 
 impl IoError {
-    /// For `map_err`: the system refuses to `action` (read, write, …) the path.
+    /// For `map_err`: the system cannot `action` (read, write, …) the path.
     pub fn system(action: &'static str, path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| Self::System { action, path, source }
     }
 
-    /// A line of a text file is wrong.
+    /// Creates the error of an invalid line of a text file.
     pub fn line(path: &Path, line: usize, field: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Line { path: path.to_path_buf(), line, field: field.into(), problem: problem.into() }
     }
 
-    /// The content of `path` does not hold together.
+    /// Creates the error of inconsistent content of `path`.
     pub fn content(path: &Path, problem: impl Into<String>) -> Self {
         Self::Content { path: path.to_path_buf(), problem: problem.into() }
     }
 
-    /// `path` is valid, but `what` in it is something that this program does not do; `cure` is the remedy.
+    /// Creates the error of a valid `path` with an unsupported feature `what`; `cure` is the remedy.
     pub fn unsupported(path: &Path, what: impl Into<String>, cure: impl Into<String>) -> Self {
         Self::Unsupported { path: path.to_path_buf(), what: what.into(), cure: cure.into() }
     }

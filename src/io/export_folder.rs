@@ -1,6 +1,6 @@
-//! Layout of the files that are exported for other programs.
+//! Layout of the files exported for other programs.
 //!
-//! They stand in `export/` of an output folder, or in a folder of their own.
+//! They are in `export/` of an output folder, or in a separate folder.
 
 use std::path::Path;
 
@@ -8,12 +8,12 @@ use super::interchange::colmap;
 use super::run_folder::object_id;
 use super::{PathRole, RunFolder};
 
-/// The folder of exported files.
+/// Folder of exported files.
 #[derive(Clone, Copy, Debug)]
 pub struct ExportFolder;
 
 impl ExportFolder {
-    /// The command by which such folders are made, where they stand by themselves.
+    /// Command that creates these folders, if they are separate.
     pub const MADE_BY: &str = "tractrix export";
     /// One row per vehicle.
     pub const VEHICLES: &str = "vehicles.csv";
@@ -21,49 +21,49 @@ impl ExportFolder {
     pub const TRAJECTORIES: &str = "trajectories.csv";
     /// One row per vehicle with a ground track.
     pub const GROUND_TRACKS: &str = "ground-tracks.csv";
-    /// One row per such vehicle and frame.
+    /// One row per vehicle with a ground track and frame.
     pub const GROUND_POSITIONS: &str = "ground-positions.csv";
     /// One row per frame of the camera.
     pub const CAMERA: &str = "camera.csv";
-    /// The ways on the map.
+    /// Georeferenced trajectories.
     pub const WAYS_ON_MAP: &str = "trajectories.geojson";
-    /// The places on the map, frame by frame.
+    /// Georeferenced positions, frame by frame.
     pub const PLACES_ON_MAP: &str = "positions.geojson";
-    /// The ways on a globe, with times.
+    /// Georeferenced trajectories with times, for a globe.
     pub const KML: &str = "trajectories.kml";
-    /// The camera's way.
+    /// Trajectory of the camera.
     pub const GPX: &str = "camera.gpx";
-    /// The scene in motion.
+    /// Animated scene.
     pub const SCENE: &str = "scene.glb";
-    /// The video with what was found drawn into it.
+    /// Video annotated with the results.
     pub const VIDEO: &str = "annotated.mp4";
     /// The trajectories with the keys of version 2.
     pub const TRAJECTORIES_V2: &str = "trajectories-v2.json";
-    /// Poses in TUM's form.
+    /// Poses in TUM's format.
     pub const TUM: &str = "tum";
-    /// Poses in KITTI's form.
+    /// Poses in KITTI's format.
     pub const KITTI: &str = "kitti";
     /// Floating car data.
     pub const SUMO: &str = "sumo-fcd.xml";
-    /// Events of Cursor on Target.
+    /// Cursor on Target events.
     pub const COT: &str = "cot-events.xml";
-    /// Tables in the form of levelXData.
+    /// Tables in levelXData's format.
     pub const LEVELX: &str = "levelx";
-    /// One row per vehicle and frame, of these.
+    /// levelXData table with one row per vehicle and frame.
     pub const LEVELX_TRACKS: &str = "00_tracks.csv";
-    /// One row per vehicle.
+    /// levelXData table with one row per vehicle.
     pub const LEVELX_META: &str = "00_tracksMeta.csv";
-    /// One row.
+    /// levelXData table with one row per recording.
     pub const LEVELX_RECORDING: &str = "00_recordingMeta.csv";
-    /// A workspace of COLMAP's.
+    /// COLMAP workspace.
     pub const COLMAP: &str = "colmap";
-    /// Pictures in that workspace.
+    /// Images in that workspace.
     pub const IMAGES: &str = "images";
     /// Masks in that workspace.
     pub const MASKS: &str = "masks";
     /// Models in that workspace.
     pub const SPARSE: &str = "sparse";
-    /// Description of the frame of the poses next to it.
+    /// Description of the reference frame of the poses next to it.
     pub const ABOUT: &str = "about.txt";
 
     const FILES: [&str; 14] = [
@@ -93,7 +93,7 @@ impl ExportFolder {
         }
     }
 
-    /// The same by the names on the way.
+    /// As [`Self::place`], by the components of the path.
     pub(super) fn place_of(parts: &[&str]) -> PathRole {
         match *parts {
             [] => PathRole::Folder,
@@ -122,7 +122,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_export_has_its_place_and_others_have_none() {
+    fn every_export_has_a_role_and_others_have_none() {
         let place = |path: &str| ExportFolder::place(Path::new(path));
         for file in [
             "vehicles.csv",

@@ -2,8 +2,8 @@
 
 use crate::scene::Reconstruction;
 
-/// The largest coordinate that is taken, in whatever unit a file counts. In metres it is a tenth of a light year; from
-/// there on squares and cubes of distances lose all meaning, and in the end are no numbers any more.
+/// Maximum coordinate, in any unit. In meters it is a tenth of a light year; beyond it squares and cubes of distances
+/// lose their meaning and finally overflow.
 pub const LARGEST: f64 = 1e15;
 
 /// Returns true if a coordinate is finite and within the limit.
@@ -16,7 +16,7 @@ pub fn is_sensible_ratio(ratio: f64) -> bool {
     (1.0 / LARGEST..=LARGEST).contains(&ratio)
 }
 
-/// The first part of a model that lies beyond any sense, in words.
+/// Describes the first part of a model beyond the limit.
 pub fn beyond(model: &Reconstruction) -> Option<String> {
     let images = model.images.iter().filter(|(_, image)| !image.cam_from_world.translation.iter().all(is_sensible));
     let points = model.points.iter().filter(|(_, point)| !point.position.iter().all(is_sensible));
@@ -30,7 +30,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_cannot_be_meant_is_told_from_what_is_far() {
+    fn impossible_coordinates_are_refused_and_large_ones_accepted() {
         assert!([0.0, -4.0e6, 1e-300, 1e15].iter().all(is_sensible));
         assert!(![f64::NAN, f64::INFINITY, -1e16].iter().any(is_sensible));
         assert!(is_sensible_ratio(1e-9) && ![0.0, -1.0, 1e-16, 1e308, f64::NAN].iter().any(|r| is_sensible_ratio(*r)));

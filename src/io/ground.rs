@@ -19,7 +19,7 @@ use super::extent::{LARGEST, is_sensible};
 use super::{IoError, atomic, json};
 use crate::scene::{FrameId, Ground, GroundPlane, GroundSource, ObjectId, Point3dId};
 
-/// The only version there is.
+/// Only version of the format.
 const VERSION: u32 = 1;
 
 /// Ground points and local planes of a run (docs/formats.md).
@@ -65,7 +65,7 @@ pub fn write(path: &Path, ground: &Ground) -> Result<(), IoError> {
 /// Reads the ground of a run.
 ///
 /// # Errors
-/// A missing file, JSON of another shape or version, a normal that is not of unit length, or the same plane twice.
+/// A missing file, JSON of another structure or version, a normal that is not of unit length, or the same plane twice.
 pub fn read(path: &Path) -> Result<Ground, IoError> {
     let document: Document = json::read(path)?;
     json::check_version(path, document.version, VERSION)?;
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn ground_round_trips() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ground.json");
         write(&path, &sample()).unwrap();
@@ -130,7 +130,7 @@ mod tests {
     }
 
     #[test]
-    fn planes_that_are_none_are_refused() {
+    fn invalid_planes_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("ground.json");
         let mut ground = sample();

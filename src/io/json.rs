@@ -1,4 +1,4 @@
-//! Reading JSON, with errors that say where; JSON schemas of files.
+//! Reading of JSON with errors that have line and column; JSON schemas of files.
 
 use std::path::Path;
 
@@ -14,18 +14,18 @@ use crate::files;
 /// Reads a JSON file as a value.
 ///
 /// # Errors
-/// [`IoError::Line`] with line and column if it is not JSON or not of this shape.
+/// [`IoError::Line`] with line and column if it is not JSON or has another structure.
 pub fn read<T: DeserializeOwned>(path: &Path) -> Result<T, IoError> {
     let bytes = files::read_text(path).map_err(IoError::system("read", path))?;
     serde_json::from_slice(&bytes).map_err(|e| error(path, &e, without_place(&e.to_string())))
 }
 
-/// The error about a place in a JSON file.
+/// Error at a position in a JSON file.
 pub(super) fn error(path: &Path, place: &serde_json::Error, problem: impl Into<String>) -> IoError {
     IoError::line(path, place.line(), format!("column {}", place.column()), problem)
 }
 
-/// As [`read()`], for a file of another program: the error says what it was taken for.
+/// As [`read()`], for a file of another program: the error names the expected format.
 ///
 /// # Errors
 /// As [`read()`].
@@ -38,7 +38,7 @@ pub fn read_model<T: DeserializeOwned>(path: &Path, kind: &str) -> Result<T, IoE
     })
 }
 
-/// Refuses a file of a version that is not known.
+/// Refuses a file of an unknown version.
 ///
 /// # Errors
 /// [`IoError::Unsupported`].
@@ -49,7 +49,7 @@ pub fn check_version(path: &Path, found: u32, known: u32) -> Result<(), IoError>
     Err(IoError::unsupported(path, format!("version {found}"), format!("write it as version {known}")))
 }
 
-/// The JSON schema (draft 2020-12) of the values of a type as they are written, from its definition and documentation.
+/// JSON schema (draft 2020-12) of the values of a type as they are written, from its definition and documentation.
 pub fn schema_of<T: JsonSchema>() -> Schema {
     let generator = SchemaSettings::draft2020_12().for_serialize().into_generator();
     let mut schema = generator.into_root_schema_for::<T>();
@@ -57,7 +57,7 @@ pub fn schema_of<T: JsonSchema>() -> Schema {
     schema
 }
 
-/// Takes the links and names of Rust's documentation out of a description.
+/// Removes the links and names of Rust's documentation from a description.
 fn without_rust(schema: &mut Schema) {
     if let Some(Value::String(text)) = schema.get_mut("description") {
         *text = plain(text);
@@ -75,7 +75,7 @@ fn plain(text: &str) -> String {
     plain.replace("[`", "`").replace("`]", "`").replace("`None`", "null").replace('\n', " ")
 }
 
-/// serde_json ends its messages with the place, which the error says already.
+/// Removes the position at the end of a serde_json message, which the error already has.
 fn without_place(message: &str) -> String {
     message.rsplit_once(" at line ").map_or(message, |(text, _)| text).to_string()
 }

@@ -1,7 +1,7 @@
-//! Masks and label maps as PNG: one grey value per pixel of the frame, of 8 bits, or of one.
+//! Masks and label maps as PNG: one gray value of 8 bits or of 1 bit per pixel of the frame.
 //!
-//! White of a 1-bit picture is label 1. Colour, palettes, transparency and other depths are refused rather than guessed
-//! at: what label a red pixel means, nobody can know.
+//! White of a 1-bit image is label 1. Color, palettes, transparency and other depths are refused rather than guessed:
+//! the label of a red pixel is undefined.
 
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ use crate::scene::{LabelMap, MAX_MASK_PIXELS, Mask};
 /// Reads a label map: 0 is background, k is object (or class) k. `frame_size` is the width and height of its frame.
 ///
 /// # Errors
-/// A missing or broken file, another size than the frame's, or anything but grey of 8 bits or one.
+/// A missing or broken file, another size than the frame's, or anything but gray of 8 bits or one.
 pub fn read_label_map(path: &Path, frame_size: (u32, u32)) -> Result<LabelMap, IoError> {
     decode(path, Some(frame_size))
 }
@@ -29,17 +29,17 @@ pub fn read_mask(path: &Path, frame_size: (u32, u32)) -> Result<Mask, IoError> {
     Ok(as_mask(decode(path, Some(frame_size))?))
 }
 
-/// As [`read_mask`], of whatever size the picture has.
+/// As [`read_mask`], for an image of any size.
 pub fn read_mask_of_any_size(path: &Path) -> Result<Mask, IoError> {
     Ok(as_mask(decode(path, None)?))
 }
 
-/// Writes a mask as 8-bit grey, 255 where it is set.
+/// Writes a mask as 8-bit gray, 255 where it is set.
 pub fn write_mask(path: &Path, mask: &Mask) -> Result<(), IoError> {
     encode(path, &mask.to_bytes(), mask.width(), mask.height())
 }
 
-/// Writes a label map as 8-bit grey.
+/// Writes a label map as 8-bit gray.
 pub fn write_label_map(path: &Path, map: &LabelMap) -> Result<(), IoError> {
     encode(path, &map.labels, map.width, map.height)
 }
@@ -60,7 +60,7 @@ fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<LabelMap, IoErr
     let broken = |e: image::ImageError| IoError::content(path, format!("incomplete or damaged PNG image: {e}"));
     let decoder = image::codecs::png::PngDecoder::new(Cursor::new(&bytes)).map_err(broken)?;
     let size @ (width, height) = decoder.dimensions();
-    // Before the pixels are decoded: a header can promise any number of them.
+    // Checked before decoding: a header can declare any number of pixels.
     if let Some(expected) = frame_size.filter(|expected| *expected != size) {
         return Err(IoError::WrongSize { path: path.into(), expected, found: size });
     }
@@ -79,10 +79,10 @@ fn decode(path: &Path, frame_size: Option<(u32, u32)>) -> Result<LabelMap, IoErr
     Ok(LabelMap { width, height, labels })
 }
 
-/// Bits per pixel, 1 or 8, by the PNG header itself: the decoder would stretch 2 and 4 bits to eight, and labels with
+/// Bits per pixel, 1 or 8, from the PNG header itself: the decoder would scale 2 and 4 bits to eight, and labels with
 /// them.
 fn bit_depth(path: &Path, bytes: &[u8]) -> Result<u8, IoError> {
-    // Signature, then length and name of IHDR, width, height, bit depth, colour type (PNG specification, 11.2.1).
+    // Signature, then length and name of IHDR, width, height, bit depth, color type (PNG specification, 11.2.1).
     if bytes.len() < 26 || !bytes.starts_with(b"\x89PNG\r\n\x1a\n") {
         return Err(IoError::content(path, "not a PNG image"));
     }
@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn labels_and_masks_come_back() {
+    fn labels_and_masks_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("000003.png");
         let map = LabelMap { width: 3, height: 2, labels: vec![0, 1, 2, 255, 0, 7] };
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn other_kinds_of_pictures_are_refused() {
+    fn other_kinds_of_images_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.png");
         let save = |kind: ExtendedColorType, bytes: &[u8]| {
@@ -154,7 +154,7 @@ mod tests {
         assert!(read_mask(&folder.path().join("none.png"), (2, 1)).unwrap_err().is_not_found());
     }
 
-    /// A 1-bit grey picture of 3×2 pixels: white, black, white; black, white, black.
+    /// A 1-bit gray image of 3×2 pixels: white, black, white; black, white, black.
     const ONE_BIT: &[u8] =
         b"\x89PNG\x0d\x0a\x1a\x0a\x00\x00\x00\x0dIHDR\x00\x00\x00\x03\x00\x00\x00\x02\x01\x00\x00\x00\x00\
         \xb5\x0f[\xb7\x00\x00\x00\x0cIDATx\x9ccX\xc0\xe0\x00\x00\x02$\x00\xe1s\xeb;\xf2\x00\x00\x00\x00I\
@@ -167,7 +167,7 @@ mod tests {
         std::fs::write(&path, ONE_BIT).unwrap();
         assert_eq!(read_label_map(&path, (3, 2)).unwrap().labels, [1, 0, 1, 0, 1, 0]);
         assert_eq!(read_mask(&path, (3, 2)).unwrap(), Mask::from_fn(3, 2, |x, y| (x + y) % 2 == 0));
-        // Two bits say nothing of what their values mean.
+        // With two bits the meaning of the values is undefined.
         let mut two_bits = ONE_BIT.to_vec();
         two_bits[24] = 2;
         std::fs::write(&path, two_bits).unwrap();
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_cut_anywhere_never_panics() {
+    fn a_truncated_image_never_panics() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("m.png");
         write_mask(&path, &Mask::from_fn(40, 30, |x, y| (x * y) % 3 == 0)).unwrap();
@@ -184,7 +184,7 @@ mod tests {
             std::fs::write(&path, &whole[..length]).unwrap();
             assert!(read_mask(&path, (40, 30)).is_err(), "cut at {length}");
         }
-        // A header that promises more than memory holds.
+        // A header that declares more than fits in memory.
         let mut huge = whole;
         huge[16..24].copy_from_slice(&[0x7f, 0xff, 0xff, 0xff, 0x7f, 0xff, 0xff, 0xff]);
         std::fs::write(&path, huge).unwrap();

@@ -1,14 +1,14 @@
-//! File formats: COLMAP, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, camera paths, PLY, masks, the contract's JSON
-//! files and ground-truth sequences.
+//! File formats: COLMAP, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, camera trajectories, PLY, masks, the contract's
+//! JSON files and ground-truth sequences.
 //!
-//! Every reader takes hostile input: what is wrong is an [`IoError`] that names file, place and field, never a panic,
-//! and no count in a file is believed before the bytes behind it are there. Everything is written through [`atomic`].
+//! Every reader accepts hostile input: a problem is an [`IoError`] that names file, position and field, never a panic,
+//! and no count in a file is trusted before the bytes for it are there. Everything is written through [`atomic`].
 //! `docs/formats.md` describes the formats.
 //!
 //! ```
 //! use tractrix::io::interchange::{colmap, model};
 //!
-//! // Recognised by content: COLMAP, an output folder, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, TUM, KITTI.
+//! // Recognized by content: COLMAP, an output folder, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, TUM, KITTI.
 //! let (from_openmvg, _) = model::read("tests/golden/models/openmvg/sfm_data.json".as_ref())?;
 //! let from_colmap = colmap::read("tests/golden/models/colmap_binary".as_ref())?;
 //! assert_eq!(from_openmvg.cameras, from_colmap.cameras);

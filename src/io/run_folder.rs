@@ -1,8 +1,8 @@
 //! Layout of a run's output folder.
 //!
-//! This is the only place that knows: the pipeline writes, and `evaluate`, the report, the benchmark and a user of the
-//! library read through it. Everything named here but [`RunFolder::STATE`] is public and described in
-//! `docs/formats.md`; nothing public depends on what lies in that folder.
+//! Single definition of the layout: the pipeline writes, and `evaluate`, the report, the benchmark and a user of the
+//! library read through it. Everything named here except [`RunFolder::STATE`] is public and described in
+//! `docs/formats.md`; nothing public depends on the content of that folder.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -12,7 +12,7 @@ use super::owned_folder::PathRole;
 use super::{ExportFolder, IoError, ground, masks, tracks, trajectories};
 use crate::scene::{Frame, Ground, ObjectId, Reconstruction, TrackedObject, Trajectories};
 
-/// The output folder of a run, which need not be there yet.
+/// Output folder of a run, which need not exist yet.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct RunFolder {
     root: PathBuf,
@@ -28,18 +28,18 @@ const DOCUMENTS: [&str; 6] =
     ["run.json", "tracks.json", "ground.json", "trajectories.json", "report.html", "evaluation.json"];
 
 impl RunFolder {
-    /// The folder for what a run needs to go on where it was: lock, manifest, markers, intermediate results.
+    /// Folder of the data for resuming a run: lock, manifest, markers, intermediate results.
     pub const STATE: &str = ".tractrix";
 
-    /// The command by which such folders are made, as their manifests name it.
+    /// Command that creates these folders, as named in their manifests.
     pub const MADE_BY: &str = "tractrix run";
 
-    /// The output folder at `root`.
+    /// Returns the output folder at `root`.
     pub fn at(root: impl Into<PathBuf>) -> Self {
         Self { root: root.into() }
     }
 
-    /// The folder itself.
+    /// Root of the folder.
     pub fn root(&self) -> &Path {
         &self.root
     }
@@ -59,42 +59,42 @@ impl RunFolder {
         self.root.join("ground.json")
     }
 
-    /// Where the objects were.
+    /// Trajectories of the objects.
     pub fn trajectories(&self) -> PathBuf {
         self.root.join("trajectories.json")
     }
 
-    /// The page to look at.
+    /// Report page.
     pub fn report(&self) -> PathBuf {
         self.root.join("report.html")
     }
 
-    /// The figures of an evaluation against the truth, if there was one.
+    /// Metrics of an evaluation against ground truth, if there was one.
     pub fn evaluation(&self) -> PathBuf {
         self.root.join("evaluation.json")
     }
 
-    /// The folder of all objects' models.
+    /// Folder of all object models.
     pub fn objects(&self) -> PathBuf {
         self.root.join(OBJECTS)
     }
 
-    /// COLMAP model of an object: the one that its trajectory refers to.
+    /// COLMAP model of an object, to which its trajectory refers.
     pub fn object(&self, id: ObjectId) -> PathBuf {
         self.objects().join(id.to_string())
     }
 
-    /// The folder of all objects' models as structure from motion left them.
+    /// Folder of all object models from structure from motion.
     pub fn all_as_reconstructed(&self) -> PathBuf {
         self.root.join(AS_RECONSTRUCTED)
     }
 
-    /// COLMAP model of an object as structure from motion left it, before it was adjusted with the ground.
+    /// COLMAP model of an object from structure from motion, before its adjustment with the ground.
     pub fn as_reconstructed(&self, id: ObjectId) -> PathBuf {
         self.all_as_reconstructed().join(id.to_string())
     }
 
-    /// The folder of all masks.
+    /// Folder of all masks.
     pub fn tracks(&self) -> PathBuf {
         self.root.join(TRACKS)
     }
@@ -104,23 +104,23 @@ impl RunFolder {
         self.root.join("tracks.json")
     }
 
-    /// An object's mask in one frame.
+    /// Mask of an object in one frame.
     pub fn mask(&self, id: ObjectId, frame: &Frame) -> PathBuf {
         self.tracks().join(id.to_string()).join(Self::mask_name(frame))
     }
 
-    /// Name of an image's mask: COLMAP's convention, which keeps `a.jpg` and `a.png` apart.
+    /// Name of an image's mask: COLMAP's convention, which distinguishes `a.jpg` and `a.png`.
     pub fn mask_name(frame: &Frame) -> String {
         format!("{}.png", frame.name)
     }
 
-    /// An object's mask in the image of one of these names, the first that is there.
+    /// Mask of an object in the image with one of these names, the first that exists.
     pub fn find_mask(&self, id: ObjectId, names: &[&str]) -> Option<PathBuf> {
         let folder = self.tracks().join(id.to_string());
         names.iter().find_map(|name| masks::find(&folder, name))
     }
 
-    /// The folder of point clouds.
+    /// Folder of point clouds.
     pub fn point_clouds(&self) -> PathBuf {
         self.root.join(POINT_CLOUDS)
     }
@@ -135,12 +135,12 @@ impl RunFolder {
         self.point_clouds().join(format!("object-{id}.ply"))
     }
 
-    /// The folder of what was exported for other programs.
+    /// Folder of exports for other programs.
     pub fn exports(&self) -> PathBuf {
         self.root.join(EXPORTS)
     }
 
-    /// Reads the background's model.
+    /// Reads the background model.
     ///
     /// # Errors
     /// [`IoError`] if it is missing or damaged; the same for all readers here.
@@ -156,7 +156,7 @@ impl RunFolder {
         colmap::read(&self.object(id))
     }
 
-    /// Reads the model of an object as structure from motion left it.
+    /// Reads the model of an object from structure from motion.
     ///
     /// # Errors
     /// As [`Self::read_background`].
@@ -172,7 +172,7 @@ impl RunFolder {
         trajectories::read(&self.trajectories())
     }
 
-    /// Reads what is known of the objects that were followed.
+    /// Reads the tracked objects.
     ///
     /// # Errors
     /// As [`Self::read_background`].
@@ -193,7 +193,7 @@ impl RunFolder {
         [self.objects(), self.tracks()].iter().flat_map(|folder| Self::ids_in(folder)).collect()
     }
 
-    /// Ids after which something in a folder is named.
+    /// Ids in the names of a folder's entries.
     pub fn ids_in(folder: &Path) -> BTreeSet<ObjectId> {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
         entries.filter_map(|entry| object_id(entry.file_name().to_str()?)).collect()
@@ -236,7 +236,7 @@ mod tests {
     use crate::scene::FrameId;
 
     #[test]
-    fn every_path_of_a_run_has_its_place_and_others_have_none() {
+    fn every_path_of_a_run_has_a_role_and_others_have_none() {
         let folder = RunFolder::at("out");
         let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };
         let id = ObjectId(12);

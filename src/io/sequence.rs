@@ -1,4 +1,4 @@
-//! Ground-truth sequences: `scene.json` with poses, pictures or a video, label maps, and the vehicle's mesh.
+//! Ground-truth sequences: `scene.json` with poses, images or a video, label maps, and the vehicle's mesh.
 //!
 //! `docs/formats.md` describes the folder. Poses in `scene.json` are `T_world_camera` and `T_world_object`, 4 × 4,
 //! row-major; here they become `cam_from_world` and `world_from_object`.
@@ -21,33 +21,33 @@ pub const TARGET_LABEL: u8 = 1;
 /// Label of the ground in a sequence's semantic maps.
 pub const GROUND_LABEL: u8 = 3;
 
-/// A sequence whose truth is known.
+/// Sequence with ground truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Sequence {
-    /// Where it lies.
+    /// Its folder.
     pub folder: PathBuf,
     /// Its name.
     pub name: String,
-    /// The type of the target vehicle, if stated.
+    /// Type of the target vehicle, if stated.
     pub vehicle: Option<String>,
-    /// The type of its trajectory, if stated.
+    /// Type of its trajectory, if stated.
     pub trajectory: Option<String>,
     /// Frames per second.
     pub fps: f64,
-    /// The camera of all frames, without distortion.
+    /// Camera of all frames, without distortion.
     pub camera: Camera,
     /// Its frames, ascending by index.
     pub frames: Vec<SequenceFrame>,
 }
 
-/// One frame and its truth.
+/// Frame with its ground truth.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SequenceFrame {
     /// Index: frame k of the video.
     pub id: FrameId,
-    /// File name of its picture, without folder.
+    /// File name of its image, without folder.
     pub name: String,
-    /// Its picture, which need not be there if the video is.
+    /// Its image, which need not exist if the video does.
     pub image: PathBuf,
     /// Its label map: 0 background, 1 the target, others moving objects.
     pub mask: PathBuf,
@@ -55,11 +55,11 @@ pub struct SequenceFrame {
     pub semantic: Option<PathBuf>,
     /// Time, seconds.
     pub time_s: f64,
-    /// The camera's pose; the world is in metres.
+    /// Pose of the camera; the world is in meters.
     pub cam_from_world: Rigid3,
-    /// The target's pose.
+    /// Pose of the target.
     pub world_from_object: Rigid3,
-    /// Visible share of the target's outline, 0 to 1, if stated.
+    /// Visible share of the target's silhouette, 0 to 1, if stated.
     pub visible_share: Option<f64>,
 }
 
@@ -92,11 +92,11 @@ struct FrameDocument {
 }
 
 impl Sequence {
-    /// Reads `scene.json` of a folder; pictures, masks and mesh are read when they are asked for.
+    /// Reads `scene.json` of a folder; images, masks and mesh are read on demand.
     ///
     /// # Errors
-    /// A missing file, JSON of another shape, units other than metres, a matrix K with skew, a pose that is not rigid,
-    /// or frames out of order.
+    /// A missing file, JSON of another structure, units other than meters, a matrix K with skew, a pose that is not
+    /// rigid, or frames out of order.
     pub fn open(folder: &Path) -> Result<Self, IoError> {
         let path = folder.join("scene.json");
         let mut document: Document = json::read(&path)?;
@@ -130,7 +130,7 @@ impl Sequence {
     /// Input of a run: the image folder if it exists, otherwise the video.
     ///
     /// # Errors
-    /// A sequence without frames, or with neither pictures nor video.
+    /// A sequence without frames, or with neither images nor video.
     pub fn input(&self) -> Result<PathBuf, IoError> {
         let scene = self.folder.join("scene.json");
         let first = self.frames.first().ok_or_else(|| IoError::content(&scene, "no frames in the sequence"))?;
@@ -152,8 +152,8 @@ impl Sequence {
         self.frames.binary_search_by_key(&id, |frame| frame.id).ok().map(|index| &self.frames[index])
     }
 
-    /// The frame that an output's image name means: the name of its picture, or the six digits of its index, which is
-    /// what images of a video are called.
+    /// Frame of an image name of an output: the name of its image file, or the six digits of its index, which name the
+    /// frames of a video.
     pub fn frame_named(&self, image_name: &str) -> Option<&SequenceFrame> {
         let by_name = self.frames.iter().find(|frame| frame.name == image_name);
         by_name.or_else(|| {
@@ -162,23 +162,23 @@ impl Sequence {
         })
     }
 
-    /// The labels of a frame's pixels: 0 background, 1 the target, others moving objects.
+    /// Labels of a frame's pixels: 0 background, 1 the target, others moving objects.
     pub fn labels(&self, frame: &SequenceFrame) -> Result<LabelMap, IoError> {
         masks::read_label_map(&self.folder.join(&frame.mask), self.frame_size())
     }
 
-    /// Where the target is seen in a frame.
+    /// Mask of the target in a frame.
     pub fn target_mask(&self, frame: &SequenceFrame) -> Result<Mask, IoError> {
         Ok(self.labels(frame)?.mask(TARGET_LABEL))
     }
 
-    /// Where the ground is seen in a frame; `None` if the sequence has no semantic map for it.
+    /// Mask of the ground in a frame; `None` if the sequence has no semantic map for it.
     pub fn ground_mask(&self, frame: &SequenceFrame) -> Result<Option<Mask>, IoError> {
         let read = |path| masks::read_label_map(&self.folder.join(path), self.frame_size());
         Ok(frame.semantic.as_ref().map(read).transpose()?.map(|map| map.mask(GROUND_LABEL)))
     }
 
-    /// The target's shape, in object coordinates, metres.
+    /// Mesh of the target, in object coordinates, meters.
     pub fn mesh(&self) -> Result<TriangleMesh, IoError> {
         ply::read_mesh(&self.folder.join("object_mesh.ply"))
     }
@@ -228,12 +228,12 @@ fn frame(path: &Path, frame: FrameDocument) -> Result<SequenceFrame, IoError> {
     })
 }
 
-/// The rigid transform of a 4 × 4 matrix; `None` if its rotation is further than rounding from one, or if it leads
-/// further than anything can be.
+/// Rigid transform of a 4 × 4 matrix; `None` if its rotation deviates by more than rounding, or its translation exceeds
+/// the coordinate limit.
 fn rigid([r0, r1, r2, last]: [[f64; 4]; 4]) -> Option<Rigid3> {
     let rotation = Matrix3::new(r0[0], r0[1], r0[2], r1[0], r1[1], r1[2], r2[0], r2[1], r2[2]);
     let error = (rotation * rotation.transpose() - Matrix3::identity()).norm();
-    // Six digits are what careful hands write into JSON files.
+    // JSON files carefully written by hand have six digits.
     let is_rigid = error < 1e-5 && rotation.determinant() > 0.0 && last == [0.0, 0.0, 0.0, 1.0];
     let translation = Vector3::new(r0[3], r1[3], r2[3]);
     if !is_rigid || !translation.iter().all(is_sensible) {
@@ -279,7 +279,7 @@ mod tests {
     }
 
     #[test]
-    fn names_may_be_missing_and_pictures_replaced_by_a_video() {
+    fn names_may_be_missing_and_images_replaced_by_a_video() {
         let folder = tempfile::tempdir().unwrap();
         let place = folder.path().join("left_curves_van");
         std::fs::create_dir(&place).unwrap();
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_truth_is_refused() {
+    fn invalid_ground_truth_is_refused() {
         let refused = |change: fn(&mut Value)| {
             let mut document = document();
             change(&mut document);
@@ -322,7 +322,7 @@ mod tests {
         let sequence = Sequence::open(&crate::io::testing::in_repository("dataset/demo")).unwrap();
         assert_eq!((sequence.frames.len(), sequence.frame_size()), (60, (960, 540)));
         assert!(sequence.video().is_some());
-        // The mesh, posed and projected, covers the target's mask.
+        // The posed and projected mesh covers the target's mask.
         let (mesh, frame) = (sequence.mesh().unwrap(), &sequence.frames[30]);
         let mask = sequence.target_mask(frame).unwrap().dilated(2);
         let pixels = mesh

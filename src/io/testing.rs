@@ -10,19 +10,19 @@ use crate::camera::Camera;
 use crate::math::{Rigid3, seeded_rng};
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3dId, Reconstruction};
 
-/// A file or folder of the repository.
+/// Path of a file or folder of the repository.
 pub fn in_repository(path: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(path)
 }
 
-/// A file or folder of the data that is not in the repository, for tests that say `#[ignore = "needs TRACTRIX_DATA"]`.
+/// Path in the data outside the repository, for tests marked `#[ignore = "needs TRACTRIX_DATA"]`.
 pub fn in_data(path: &str) -> PathBuf {
     let data = std::env::var_os("TRACTRIX_DATA").expect("TRACTRIX_DATA names the folder of the data");
     PathBuf::from(data).join(path)
 }
 
-/// A small model in front of four cameras: lens terms, names with folders, blanks and letters of all kinds, a gap in
-/// the ids, features without a point. Every feature lies a little next to its projection.
+/// A small model in front of four cameras: distortion terms, names with folders, blanks and letters of all kinds, a gap
+/// in the ids, features without a point. Every feature is slightly off its projection.
 pub(crate) fn odd_model() -> Reconstruction {
     let lens = |values: &[f64]| Camera::prior(960, 540).with_parameters(values).unwrap();
     model_with(&[
@@ -32,7 +32,7 @@ pub(crate) fn odd_model() -> Reconstruction {
     ])
 }
 
-/// The same with other lenses.
+/// As [`odd_model`], with other cameras.
 pub(crate) fn model_with(lenses: &[Camera]) -> Reconstruction {
     let mut rng = seeded_rng(5, 0);
     let cameras: BTreeMap<_, _> = (1..).map(CameraId).zip(lenses.iter().copied()).collect();
@@ -67,8 +67,8 @@ pub(crate) fn model_with(lenses: &[Camera]) -> Reconstruction {
     model
 }
 
-/// Two models agree: names, lenses, poses, points, and what the points' tracks see. Ids of cameras, colours and
-/// features without a point are not looked at.
+/// Asserts that two models agree: names, intrinsics, poses, points, and the observations of the points' tracks. Ids of
+/// cameras, colors and features without a point are not compared.
 pub(crate) fn near(found: &Reconstruction, expected: &Reconstruction, tolerance: f64) {
     let key = |model: &Reconstruction| model.images.keys().copied().collect::<Vec<_>>();
     assert_eq!(key(found), key(expected));
@@ -102,7 +102,7 @@ fn seen_by(model: &Reconstruction, point: &crate::scene::Point3d) -> Vec<(String
     point.track.iter().map(seen).collect()
 }
 
-/// As [`near`], where sizes and principal points are not kept: places are looked at relative to the latter.
+/// As [`near`], without sizes and principal points: positions are compared relative to the latter.
 pub(crate) fn near_but_for_sizes(found: &Reconstruction, expected: &Reconstruction, tolerance: f64) {
     let centered = |model: &Reconstruction| {
         let mut model = model.clone();
@@ -112,7 +112,7 @@ pub(crate) fn near_but_for_sizes(found: &Reconstruction, expected: &Reconstructi
             image.observations.iter_mut().for_each(|o| o.pixel -= nalgebra::Vector2::new(cx, cy));
         }
         model.cameras.values_mut().for_each(|c| c.principal = [0.0; 2]);
-        // Ids are places in the file.
+        // Ids are indices in the file.
         let ids: BTreeMap<_, _> = model.images.keys().copied().zip((1..).map(ImageId)).collect();
         model.images = model.images.into_iter().map(|(id, image)| (ids[&id], image)).collect();
         let renamed = |element: &mut crate::scene::TrackElement| element.image = ids[&element.image];
@@ -122,7 +122,7 @@ pub(crate) fn near_but_for_sizes(found: &Reconstruction, expected: &Reconstructi
     near(&centered(found), &centered(expected), tolerance);
 }
 
-/// Reads a text cut at every length, and with bytes changed at random; whole it must be readable.
+/// Reads a text truncated at every length, and with randomly changed bytes; the complete text must be readable.
 pub(crate) fn damaged_text_never_panics(whole: &str, read: impl Fn(&str) -> bool) {
     assert!(read(whole));
     let mut rng = seeded_rng(13, 0);

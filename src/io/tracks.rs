@@ -1,4 +1,4 @@
-//! `tracks.json`: the objects that were followed, what found them, and whether they moved.
+//! `tracks.json`: the tracked objects, the source of their detections, and their state of motion.
 
 use std::path::Path;
 
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::{IoError, atomic, json};
 use crate::scene::TrackedObject;
 
-/// The only version there is.
+/// Only version of the format.
 const VERSION: u32 = 1;
 
 /// Tracked objects of a run (docs/formats.md).
@@ -85,7 +85,7 @@ mod tests {
     }
 
     #[test]
-    fn tracked_objects_come_back() {
+    fn tracked_objects_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tracks.json");
         let objects = [object(1), object(4)];
@@ -94,7 +94,7 @@ mod tests {
     }
 
     #[test]
-    fn what_breaks_the_rules_is_neither_written_nor_read() {
+    fn invalid_tracks_are_neither_written_nor_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("tracks.json");
         let unordered = TrackedObject { frames: [4, 3].map(FrameId).to_vec(), ..object(1) };

@@ -1,7 +1,7 @@
 //! `trajectories.json`, version 3 of the output contract.
 //!
 //! Version 3 drops the key `speed` of frames where it was always null: speeds are `speed_m_s`. It has `travel`, and the
-//! verdict `rejected` instead of `not-to-be-trusted`. [`write_version_2()`] writes the keys and words of before.
+//! verdict `rejected` instead of `not-to-be-trusted`. [`write_version_2()`] writes the previous keys and words.
 
 use std::path::Path;
 
@@ -18,10 +18,10 @@ use crate::scene::{
     ContactError, GroundPosition, GroundTrack, Metric, MetricVerdict, ObjectPose, ObjectTrajectory, Trajectories, Unit,
 };
 
-/// The version that is written; all since version 1 are read.
+/// Version that is written; all versions since 1 are read.
 const VERSION: u32 = 3;
 
-/// Maximum difference of a pose's scale from its object's ratio, relative to it.
+/// Maximum relative difference of a pose's scale from its object's ratio.
 const MAX_SCALE_ERROR: f64 = 1e-9;
 
 // The order of these fields is the order of the keys in the file.
@@ -109,7 +109,7 @@ fn normalize_rotations(objects: &mut [ObjectTrajectory]) {
     }
 }
 
-/// Checks the contract beyond the shape; JSON has no NaN, so it must not reach the writer.
+/// Checks the contract beyond the structure; JSON has no NaN, so it must not reach the writer.
 fn check(path: &Path, document: &Document) -> Result<(), IoError> {
     if let Some(problem) = document.metric.as_ref().and_then(metric_problem) {
         return Err(IoError::content(path, format!("metric: {problem}")));
@@ -167,7 +167,7 @@ fn ground_track_problem(track: &GroundTrack) -> Option<String> {
     Some(format!("frame {} after frame {}: frames must ascend", pair[1].frame.0, pair[0].frame.0))
 }
 
-/// Problem of the meters of a result.
+/// Problem of the metric results.
 fn metric_problem(metric: &Metric) -> Option<&'static str> {
     let positive = metric.frame.as_ref().is_none_or(|frame| frame.scale > 0.0);
     let turns = metric.frame.as_ref().is_none_or(|frame| (norm(frame.rotation_wxyz) - 1.0).abs() <= MAX_UNIT_ERROR);
@@ -185,7 +185,7 @@ fn metric_problem(metric: &Metric) -> Option<&'static str> {
     }
 }
 
-/// Returns true if every number is finite: JSON has no others, so that a value with one does not round-trip.
+/// Returns true if every number is finite: JSON has no other numbers, so that a value with one does not round-trip.
 fn has_finite_numbers<T: Serialize + DeserializeOwned + PartialEq>(value: &T) -> bool {
     let back = serde_json::to_value(value).and_then(serde_json::from_value::<T>);
     back.is_ok_and(|back| back == *value)
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn version_2_has_the_keys_and_words_of_before_and_is_read() {
+    fn version_2_has_the_previous_keys_and_words_and_is_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("old.json");
         let mut all = sample();
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_back() {
+    fn trajectories_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectories.json");
         let mut expected = sample();
@@ -330,7 +330,7 @@ mod tests {
         assert_eq!(back, expected);
     }
 
-    fn with_metres() -> Trajectories {
+    fn with_meters() -> Trajectories {
         let mut all = sample();
         all.metric = Some(Metric {
             verdict: MetricVerdict::Telemetry,
@@ -376,10 +376,10 @@ mod tests {
     }
 
     #[test]
-    fn metres_are_keys_of_their_own() {
+    fn meters_have_separate_keys() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectories.json");
-        let all = with_metres();
+        let all = with_meters();
         write(&path, &all).unwrap();
         let value: serde_json::Value = json::read(&path).unwrap();
         assert_eq!((&value["metric"]["scale"], &value["metric"]["verdict"]), (&12.5.into(), &"telemetry".into()));
@@ -395,15 +395,15 @@ mod tests {
     }
 
     #[test]
-    fn metres_that_are_no_numbers_are_refused() {
+    fn meters_that_are_not_finite_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let refused = |change: fn(&mut Trajectories)| {
-            let mut all = with_metres();
+            let mut all = with_meters();
             change(&mut all);
             write(&folder.path().join("trajectories.json"), &all).unwrap_err().to_string()
         };
         let metric = |change: fn(&mut Metric)| {
-            let mut all = with_metres();
+            let mut all = with_meters();
             change(all.metric.as_mut().unwrap());
             write(&folder.path().join("trajectories.json"), &all).unwrap_err().to_string()
         };
@@ -426,7 +426,7 @@ mod tests {
     }
 
     #[test]
-    fn what_breaks_the_contract_is_neither_written_nor_read() {
+    fn contract_violations_are_neither_written_nor_read() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("trajectories.json");
         let refused = |change: fn(&mut ObjectTrajectory)| {

@@ -1,4 +1,4 @@
-//! Frames of the growing recording: the newest one waits, older ones are dropped.
+//! Frames of the growing recording: the newest one is queued, older ones are dropped.
 
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::thread;
@@ -29,7 +29,7 @@ pub(super) enum Next<T> {
     Over,
 }
 
-/// Frames of a recording, and how they come.
+/// Frames of a recording, and their pacing.
 pub(super) struct Input {
     pub(super) frames: Frames,
     /// True if frames come at the pace of their time stamps, false if the source sets the pace.
@@ -129,7 +129,7 @@ fn put((slot, changed): &(Mutex<Slot>, Condvar), arrived: Arrived) {
     changed.notify_all();
 }
 
-/// Waits until no frame waits, or nobody takes it any more.
+/// Waits until the queue is empty, or the receiver is dropped.
 fn wait_until_taken(shared: &Arc<(Mutex<Slot>, Condvar)>) {
     let mut slot = lock(&shared.0);
     while slot.frame.is_some() && Arc::strong_count(shared) > 1 {
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_decoder_held_back_waits_until_it_is_taken() {
+    fn frames_held_back_by_the_decoder_wait_until_they_are_taken() {
         let slot: Arc<(Mutex<Slot>, Condvar)> = Arc::default();
         let newest = Newest { slot: slot.clone() };
         let arrived = |id| {
@@ -184,7 +184,7 @@ mod tests {
             let Next::Frame(taken) = newest.take(Duration::from_secs(10)) else { panic!("frame {id} waits") };
             assert_eq!((taken.frame.id, newest.num_dropped()), (FrameId(id), 0));
         }
-        // Nobody takes the last frame any more.
+        // The receiver of the last frame is dropped.
         drop(newest);
         held_back.join().unwrap();
     }

@@ -1,9 +1,9 @@
-//! Georeferencing: the camera's path of the last minute on the fixes of the telemetry.
+//! Georeferencing: alignment of the camera's path of the last minute to the fixes of the telemetry.
 //!
-//! The path is in the frame of the first map, in which all maps continue, and is laid onto the fixes by the alignment
-//! of the stage `metric` (docs/maths/metric.md, eqs. 1–5). It gives latitude, longitude and height of every position,
-//! with the covariance of the alignment, and meters per unit. A later alignment replaces the one before where it is
-//! more precise at the camera; until then the drift of the maps is added to its variance.
+//! The path is in the frame of the first map, which all later maps continue, and is aligned to the fixes as in the
+//! stage `metric` (docs/maths/metric.md, eqs. 1–5). It gives latitude, longitude and height of every position, with the
+//! covariance of the alignment, and meters per unit. A later alignment replaces the previous one where it is more
+//! precise at the camera; until then the drift of the maps is added to its variance.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -24,7 +24,7 @@ use crate::telemetry::{LocalFixes, LocalFrame, Log, TimeBase, date};
 const PATH_S: f64 = 60.0;
 /// Standard deviations by which the arrival of a camera's own log may contradict its times.
 const CONSISTENT: f64 = 3.0;
-/// Share of its standard deviation to which the scale of the local frame must improve to be replaced: every change
+/// Maximum ratio of the new standard deviation to the old one to replace the scale of the local frame: every change
 /// moves all positions of the local frame.
 const BETTER: f64 = 0.5;
 /// Name of the source of scale.
@@ -38,7 +38,7 @@ struct Visited {
     drift: f64,
 }
 
-/// The frame of the maps on the ellipsoid.
+/// Georeference of the frame of the maps on the ellipsoid.
 pub(super) struct Georeference {
     /// Meters east, north, up from the frame of the maps.
     frame: MetricFrame,
@@ -50,7 +50,7 @@ pub(super) struct Georeference {
     drift: f64,
 }
 
-/// Lays the path of the camera onto the fixes, map by map.
+/// Aligns the path of the camera to the fixes, map by map.
 pub(super) struct Georeferencer {
     feed: Arc<TelemetryFeed>,
     path: BTreeMap<FrameId, Visited>,
@@ -60,7 +60,7 @@ pub(super) struct Georeferencer {
     problem: Option<String>,
 }
 
-/// A new map, as far as georeferencing needs it.
+/// Data of a new map for georeferencing.
 pub(super) struct Update<'a> {
     pub(super) model: &'a Reconstruction,
     /// The frames of its images.
@@ -80,12 +80,12 @@ impl Georeferencer {
         Self { feed, path: BTreeMap::new(), found: None, held: None, problem: None }
     }
 
-    /// Forgets everything: the maps have a new frame.
+    /// Resets the state: the maps have a new frame.
     pub(super) fn restart(&mut self) {
         *self = Self::new(self.feed.clone());
     }
 
-    /// Takes a new map; lays the path onto the fixes.
+    /// Takes a new map; aligns the path to the fixes.
     pub(super) fn update(&mut self, update: &Update) {
         let Update { model, frames, drift, .. } = *update;
         let visited = frames.iter().filter_map(|frame| {
@@ -115,7 +115,7 @@ impl Georeferencer {
         self.found.clone()
     }
 
-    /// Why the last map could not be aligned.
+    /// Reason why the last map could not be aligned.
     pub(super) fn problem(&self) -> Option<String> {
         self.problem.clone()
     }
@@ -138,7 +138,7 @@ impl Georeferencer {
     /// Position and attitude of a camera that does not translate.
     ///
     /// # Errors
-    /// Why there are none.
+    /// Reason why they are unknown.
     pub(super) fn station(
         &self,
         model: &Reconstruction,
@@ -155,14 +155,14 @@ impl Georeferencer {
         utc_start_s(&self.feed.current().ok()?.log, station.clock_offset_s(), options)
     }
 
-    /// The log by now, and its fixes.
+    /// Current log, and its fixes.
     fn fixes(&self) -> Result<(Current, LocalFixes), String> {
         let current = self.feed.current().map_err(|error| error.to_string())?;
         let local = current.log.local_fixes().ok_or("no position with a time")?;
         Ok((current, local))
     }
 
-    /// The map, and meters per unit by it.
+    /// Georeference of the map, and meters per unit by it.
     fn align(&self, update: &Update) -> Result<(Georeference, Option<Source>), String> {
         let Update { model, frames, gravity, drift, sources, options, hovering } = *update;
         let (alignment, scale, map, clock_offset_s, log) = if let Some(height) = hovering {
@@ -204,7 +204,7 @@ impl Georeferencer {
     }
 }
 
-/// Prior on the time between the clocks.
+/// Prior on the offset between the clocks.
 fn offset(current: &Current, local: &LocalFixes, options: &MetricOptions) -> Offset {
     let LocalFixes { times, epoch_s, .. } = *local;
     if let Some(given) = options.time_offset {
@@ -315,7 +315,7 @@ pub(super) fn camera(center: Point3<f64>) -> ObservedPoint {
     ObservedPoint { point: center, center, log_ratio_std: 0.0, direction_std: 0.0, pose_covariance }
 }
 
-/// Four digits after the point: a tenth of a millimeter.
+/// Rounds to four decimals: a tenth of a millimeter.
 pub(super) fn rounded(value: f64) -> f64 {
     (1e4 * value).round() / 1e4
 }
@@ -410,7 +410,7 @@ mod tests {
         // The offset between the clocks is estimated to some tenths of a second.
         let utc = found.utc(12.5).unwrap();
         assert!(utc.starts_with("2024-06-01T12:00:12."), "{utc}");
-        // The path goes on, and the maps drift.
+        // The path continues, and the maps drift.
         assert!(found.position(&observed, 0.01).horizontal_std > horizontal);
         let scale = georeferencer.scale(0.0).unwrap();
         assert!((scale.log_scale - 10f64.ln()).abs() < 3.0 * scale.std && scale.std < 0.05, "{scale:?}");
@@ -460,7 +460,7 @@ mod tests {
         let mut georeferencer = Georeferencer::new(flight.feed.clone());
         georeferencer.update(&flight.update(0.0, &options));
         let found = georeferencer.found().unwrap();
-        // A local frame that is the one of the maps.
+        // A local frame equal to that of the maps.
         let local = MetricFrame {
             scale: 1.0,
             rotation_wxyz: [1.0, 0.0, 0.0, 0.0],

@@ -1,21 +1,21 @@
-//! Workload: what is reduced when processing does not keep up, in a fixed order.
+//! Workload control: reductions in a fixed order when processing does not keep up.
 
-/// Reductions in the order in which they come into force.
+/// Reductions in the order in which they are applied.
 const REDUCTIONS: [&str; 4] = ["masks at 1 Hz", "detector at 1 Hz", "every second frame", "every fourth frame"];
-/// Time from one look of the detector to the next, and of the mask network, seconds: a run detects twice as often.
+/// Period of the detector and of the mask network, seconds: a run detects twice as often.
 const USUAL_S: f64 = 0.4;
-/// The same where it is reduced.
+/// Reduced period, seconds.
 const REDUCED_S: f64 = 1.0;
-/// Time over which load is measured before another reduction, seconds: five looks of the detector.
+/// Time over which load is measured before another reduction, seconds: five runs of the detector.
 const REACTION_S: f64 = 2.0;
-/// Time without overload after which the last reduction is taken back, seconds.
+/// Time without overload after which the last reduction is reverted, seconds.
 const RECOVERY_S: f64 = 5.0;
-/// Share of frames that may be dropped: one is, now and then, where a map and a look of the detector coincide.
+/// Maximum share of dropped frames: single drops occur where a map and a run of the detector coincide.
 const MAX_DROPPED: f64 = 0.15;
-/// Share below which there is room for more work: what a reduction saves is at most a half.
+/// Load below which a reduction is reverted: a reduction saves at most a half.
 const ROOM: f64 = 0.6;
 
-/// Decides what is done in a frame.
+/// Decides on the work per frame.
 #[derive(Debug, Default)]
 pub(super) struct Load {
     level: usize,
@@ -42,7 +42,7 @@ impl Load {
         skips
     }
 
-    /// Seconds between looks of the detector, and of the mask network.
+    /// Seconds between runs of the detector, and of the mask network.
     pub(super) fn periods_s(&self) -> [f64; 2] {
         [2, 1].map(|reduced_at| if self.level >= reduced_at { REDUCED_S } else { USUAL_S })
     }
@@ -61,7 +61,7 @@ impl Load {
         self.spent_s += self.last_s.map_or(0.0, |last| time_s - last);
         self.busy_s += busy_s;
         self.num_done += 1;
-        // What was dropped before the first frame is the start of the program.
+        // Frames dropped before the first one are due to the start of the program.
         self.num_dropped += self.last_s.map_or(0, |_| num_dropped - self.last_dropped);
         (self.last_s, self.last_dropped) = (Some(time_s), num_dropped);
         if self.spent_s < REACTION_S {
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn work_is_reduced_in_order_and_taken_back() {
+    fn reductions_are_applied_in_order_and_reverted() {
         let mut load = Load::default();
         assert!(run(&mut load, 0.0, 4.1, 0.09, false).is_empty());
         assert_eq!(run(&mut load, 4.1, 13.5, 0.2, true), [1, 2, 3, 4]);
@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn work_without_room_is_not_taken_back() {
+    fn reductions_are_not_reverted_under_load() {
         let mut load = Load::default();
         assert_eq!(run(&mut load, 0.0, 2.3, 0.2, true), [1]);
         assert!(run(&mut load, 2.3, 30.0, 0.08, false).is_empty());

@@ -1,12 +1,12 @@
 //! Vehicles while the camera records: one pass through the frames of a recording that still grows.
 //!
-//! The newest frame is taken (`frames.rs`); vehicles are detected and followed on a thread (`perception.rs`), while
+//! The newest frame is taken (`frames.rs`); vehicles are detected and tracked on a thread (`perception.rs`), while
 //! points of the frame before are tracked on another (`window.rs`), by the objects that a run uses. A worker
 //! reconstructs the window of the last ten seconds with the batch mapper, in the frame of the maps before (`map`);
 //! another places models of the vehicles in every third of these maps (`models.rs`).
 //! Between two maps every frame is registered by resection, and the lower edges of the masks give provisional positions
-//! on the local ground planes; a frame that leaves the window gets its final ones (`vehicles.rs`). What does not keep
-//! up is reduced in a fixed order (`load.rs`). `docs/live.md` has limits and figures.
+//! on the local ground planes; a frame that leaves the window gets its final ones (`vehicles.rs`). Under overload the
+//! work is reduced in a fixed order (`load.rs`). `docs/live.md` has limits and figures.
 //!
 //! Nothing grows with the duration: the window is bounded, the queues have length one.
 
@@ -73,10 +73,10 @@ const NO_MAP_S: f64 = 5.0;
 /// Maximum wait for a frame before signals are checked.
 const PATIENCE: Duration = Duration::from_millis(50);
 
-/// Looks at a frame that is processed.
+/// Callback for each processed frame.
 pub type Watch = dyn Fn(&Frame, &RgbImage);
 
-/// A recording to be followed.
+/// A recording to be processed while it grows.
 pub struct Job<'a> {
     /// The file.
     pub recording: &'a Path,
@@ -103,10 +103,10 @@ pub enum Order {
     Stop,
 }
 
-/// Follows a recording to its end.
+/// Processes a recording to its end.
 ///
 /// * `sink` – takes each line at once.
-/// * `order` – asked between frames.
+/// * `order` – called between frames.
 ///
 /// # Errors
 /// [`PipelineError`]; the recording is not affected.
@@ -137,7 +137,7 @@ pub fn run(
         map: None,
         mapped_s: None,
         no_map: None,
-        asked_s: f64::NEG_INFINITY,
+        requested_s: f64::NEG_INFINITY,
         final_s: f64::NEG_INFINITY,
         end: EndLine::default(),
         spent: [Duration::ZERO; 3],
@@ -190,10 +190,10 @@ struct Live<'a> {
     map: Option<Arc<WorldMap>>,
     /// Time from which the absence of a map counts, seconds; infinite once it was reported.
     mapped_s: Option<f64>,
-    /// Why the last window gave no map.
+    /// Reason why the last window gave no map.
     no_map: Option<NoMap>,
     /// Time of the last request of a map, and of one that makes frames final, seconds.
-    asked_s: f64,
+    requested_s: f64,
     final_s: f64,
     end: EndLine,
     /// Time of perception, points and positions.
@@ -270,10 +270,10 @@ impl Live<'_> {
         };
         let retry_s = if self.window.num_keys() < MIN_KEYFRAMES { HOVER_RETRY_S } else { RETRY_S };
         let wait_s = if self.map.is_some() { 0.0 } else { retry_s };
-        if !is_due || self.mapper.is_busy || time_s - self.asked_s < wait_s {
+        if !is_due || self.mapper.is_busy || time_s - self.requested_s < wait_s {
             return;
         }
-        self.asked_s = time_s;
+        self.requested_s = time_s;
         let is_final = self.map.is_some() && !self.modeler.is_busy && time_s - self.final_s >= FINAL_EVERY_S;
         if is_final {
             self.final_s = time_s;
@@ -285,7 +285,7 @@ impl Live<'_> {
         self.window.snapshot(purpose, self.vehicles.images(&self.window.camera()))
     }
 
-    /// Takes what the workers have finished.
+    /// Takes the finished results of the workers.
     fn take_results(&mut self, wait: Wait) -> Result<(), PipelineError> {
         self.take_map(wait)?;
         self.take_models(wait)
@@ -303,7 +303,7 @@ impl Live<'_> {
         };
         (self.mapped_s, self.no_map) = (Some(self.end.t), None);
         if !map.is_continued {
-            // Models of the frame before come too late: its frames become final without.
+            // Models of the previous local frame are too late: its frames become final without them.
             self.finalize(&BTreeMap::new())?;
         }
         self.window.take_poses(&map);
@@ -341,7 +341,7 @@ impl Live<'_> {
             }
         }
         self.write(lines)?;
-        // Frames, points and maps of five threads come and go: what they leave free grows for hours otherwise.
+        // Five threads allocate and free frames, points and maps: without this, unused memory grows for hours.
         memory::give_back();
         Ok(())
     }
@@ -354,7 +354,7 @@ impl Live<'_> {
         (self.sink)(&line).map_err(PipelineError::Sink)
     }
 
-    /// Makes the last map, unless the run is to stop, and sums up.
+    /// Makes the last map, unless the run is to stop, and returns the totals.
     fn finish(mut self, order: &dyn Fn() -> Order) -> Result<EndLine, PipelineError> {
         if order() != Order::Stop {
             self.take_results(Wait::Yes)?;
@@ -362,7 +362,7 @@ impl Live<'_> {
                 self.mapper.request(self.snapshot(Purpose::Last));
                 self.take_results(Wait::Yes)?;
             }
-            // Where the last frames give no map, the one before serves.
+            // If the last frames give no map, the previous one is used.
             if let (Some(_), Some(map)) = (&self.no_map, self.map.clone()) {
                 self.leaving = Some(Leaving { map, until_s: self.end.t, positions: self.vehicles.positions() });
                 self.finalize(&BTreeMap::new())?;
@@ -407,7 +407,7 @@ enum Purpose {
     Last,
 }
 
-/// A thread that does one job at a time, with the processor time that the frames leave.
+/// Low-priority thread for one job at a time.
 struct Worker<Job, Found> {
     jobs: SyncSender<Job>,
     found: Receiver<Result<Found, PipelineError>>,

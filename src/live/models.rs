@@ -21,11 +21,11 @@ const MAX_VIEWS: usize = 60;
 /// Maximum number of views of all models of a map together: before a dashcam 60 each took 3.9 s, in which the camera
 /// left the map.
 const TOTAL_VIEWS: usize = 100;
-/// Number of views that every model may have, however many models there are.
+/// Number of views allowed for every model, regardless of the number of models.
 const FEW_VIEWS: usize = 20;
 /// Minimum number of views of a model.
 const MIN_VIEWS: usize = 8;
-/// Limits of the pose of a further view: those of the mapper for objects.
+/// Limits of the pose of an additional view: those of the mapper for objects.
 const LIMITS: Limits = Limits { max_error_px: 3.0, min_inliers: 7, min_inlier_ratio: 0.25 };
 
 /// A vehicle of the window.
@@ -45,7 +45,7 @@ pub(super) struct Request {
     pub(super) frames: Vec<Frame>,
 }
 
-/// A vehicle in its place.
+/// Model of a vehicle with its positions in the map.
 pub(super) struct Model {
     pub(super) trajectory: ObjectTrajectory,
     /// Covariance of each position without that of the scale ratio, units of the map.
@@ -53,7 +53,7 @@ pub(super) struct Model {
 }
 
 impl Model {
-    /// Error of a position besides that of the scale ratio.
+    /// Covariance of a position, without the error of the scale ratio.
     pub(super) fn covariance(&self, frame: FrameId) -> Matrix3<f64> {
         // That of the nearest view of the adjustment.
         let before = self.covariances.range(..=frame).next_back();
@@ -61,7 +61,7 @@ impl Model {
         nearest.map_or_else(Matrix3::zeros, |(_, covariance)| *covariance)
     }
 
-    /// Error of the center of the body, which all frames have in common.
+    /// Covariance of the center of the body, common to all frames.
     pub(super) fn body_covariance(&self, frame: FrameId) -> Matrix3<f64> {
         let center = self.trajectory.body_center.zip(self.pose(frame));
         center.map_or_else(Matrix3::zeros, |(center, pose)| center.covariance_in_world(&pose.world_from_object))

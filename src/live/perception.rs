@@ -1,7 +1,7 @@
 //! Vehicles in the image: detector, masks, optical flow and tracker, one frame at a time, on a thread of their own.
 //!
-//! The thread is up to two frames ahead of points and positions: one waits between them, so that a frame that takes
-//! longer on either side holds up none of the others. Frames are dropped in one place only, in front of this thread.
+//! The thread is up to two frames ahead of points and positions: one frame is queued between them, so that a slow frame
+//! on either side does not delay the others. Frames are dropped in one place only, before this thread.
 
 use std::collections::BTreeMap;
 use std::io;
@@ -24,23 +24,23 @@ use crate::scene::{BoxDetection, Frame, FrameId, Mask, ObjectId, Rect, Topic};
 use crate::tracking::{BoxSource, ConfirmedObject, FrameInput, Predecessor, TrackedMask, Tracker};
 use crate::trajectory::Silhouette;
 
-/// Object that is followed.
+/// Tracked object.
 #[derive(Clone, Debug)]
 pub(super) struct Identity {
     pub(super) id: ObjectId,
     pub(super) class: String,
     pub(super) confidence: f64,
-    /// The object that was lost where this one came up.
+    /// Lost object that this one may continue.
     pub(super) after: Option<Predecessor>,
 }
 
-/// Mask of an object in a frame, as its outline.
+/// Outline of an object's mask in a frame.
 pub(super) struct Outlined {
     /// Provisional id of the tracker.
     pub(super) object: ObjectId,
     pub(super) frame: FrameId,
     pub(super) rect: Rect,
-    /// `None` for one that the border cuts, or that is tiny.
+    /// `None` for a truncated or tiny mask.
     pub(super) outline: Option<Silhouette>,
 }
 
@@ -50,17 +50,17 @@ impl Outlined {
     }
 }
 
-/// A frame whose vehicles are known.
+/// A frame with its tracked vehicles.
 pub(super) struct Perceived {
     pub(super) frame: Frame,
     pub(super) picture: RgbImage,
     /// When it was decoded.
     pub(super) at: Instant,
-    /// Masks of this frame, and better ones of frames before.
+    /// Masks of this frame, and revised ones of earlier frames.
     pub(super) seen: Vec<Outlined>,
     pub(super) masks: Vec<TrackedMask>,
     pub(super) identities: BTreeMap<ObjectId, Identity>,
-    /// The pixels that show background.
+    /// Mask of the background.
     pub(super) background: Mask,
     /// Duration of perception.
     pub(super) busy: Duration,
@@ -76,9 +76,9 @@ pub(super) struct PerceptionThread {
 }
 
 impl PerceptionThread {
-    /// Starts it and loads the networks there.
+    /// Starts the thread, which loads the networks.
     ///
-    /// * `load` – decides what is done in a frame; the thread ends when its owner has dropped it.
+    /// * `load` – sets the workload per frame; the thread ends when its owner has dropped it.
     ///
     /// # Errors
     /// [`PipelineError::Perception`] where a network is missing, [`PipelineError::Thread`].
@@ -126,7 +126,7 @@ fn ended() -> PipelineError {
     PipelineError::Thread(io::Error::other("perception has ended"))
 }
 
-/// Processes frames until there are no more, or nobody takes them.
+/// Processes frames until the end of the recording, or until the receiver is dropped.
 fn perceive(
     mut perception: Perception,
     input: Input,
@@ -157,7 +157,7 @@ fn perceive(
             }
             load.periods_s()
         };
-        // The owner must be the only one that keeps it while this thread waits to hand the frame over.
+        // The owner must have the only strong reference while this thread waits to hand the frame over.
         drop(load);
         let found = perception.perceive(arrived, periods_s);
         let found = found.map(|found| Box::new(Perceived { num_dropped: newest.num_dropped(), num_skipped, ..found }));
@@ -168,31 +168,31 @@ fn perceive(
     }
 }
 
-/// Finds and follows vehicles.
+/// Detects and tracks vehicles.
 struct Perception {
     detector: Option<Yolox>,
     segmenter: Box<dyn BoxSegmenter>,
     flow: Box<dyn FlowEstimator>,
     tracker: Tracker,
     previous: Option<RgbImage>,
-    /// Boxes of the last look of the detector, also of objects that are not followed.
+    /// Boxes of the last run of the detector, including those of untracked objects.
     boxes: Vec<BoxDetection>,
     /// Masks of the last frame.
     masks: Vec<TrackedMask>,
-    /// Times of the last looks of the detector and of the mask network, seconds.
-    looked_s: [f64; 2],
+    /// Times of the last runs of the detector and of the mask network, seconds.
+    last_run_s: [f64; 2],
     /// Margin of vehicles in the background.
     masking: MaskingOptions,
 }
 
-/// Part of the time between two looks by which one may come early: time stamps are rounded.
+/// Share of the time between two runs by which one may be early: time stamps are rounded.
 const EARLY: f64 = 0.1;
 
 impl Perception {
     /// Loads the networks.
     ///
     /// # Errors
-    /// [`PipelineError::Perception`] where a network is missing: nothing else detects vehicles here.
+    /// [`PipelineError::Perception`] where a network is missing: there is no other detector here.
     fn new(options: &Options) -> Result<Self, PipelineError> {
         let resources = options.resources();
         let detector = match &options.vehicles.detector {
@@ -216,14 +216,14 @@ impl Perception {
             previous: None,
             boxes: Vec::new(),
             masks: Vec::new(),
-            looked_s: [f64::NEG_INFINITY; 2],
+            last_run_s: [f64::NEG_INFINITY; 2],
             masking: options.masking.clone(),
         })
     }
 
-    /// Takes the next frame.
+    /// Processes the next frame.
     ///
-    /// * `periods_s` – time between looks of the detector, and of the mask network, seconds.
+    /// * `periods_s` – time between runs of the detector, and of the mask network, seconds.
     fn perceive(&mut self, arrived: Arrived, periods_s: [f64; 2]) -> Result<Perceived, PipelineError> {
         let begin = Instant::now();
         let Arrived { frame, picture, at } = arrived;
@@ -235,11 +235,11 @@ impl Perception {
         Ok(Perceived { frame, picture, at, seen, masks, identities, background, busy, num_dropped, num_skipped })
     }
 
-    /// Takes the next frame; gives the masks of its objects, and better ones of frames before.
+    /// Processes the next frame; returns the masks of its objects, and revised ones of earlier frames.
     ///
-    /// * `periods_s` – time between looks of the detector, and of the mask network, seconds.
+    /// * `periods_s` – time between runs of the detector, and of the mask network, seconds.
     fn push(&mut self, frame: &Frame, picture: &RgbImage, periods_s: [f64; 2]) -> Result<Vec<Outlined>, PipelineError> {
-        let is_due = |k: usize| frame.time_s - self.looked_s[k] >= (1.0 - EARLY) * periods_s[k];
+        let is_due = |k: usize| frame.time_s - self.last_run_s[k] >= (1.0 - EARLY) * periods_s[k];
         let [detects, segments] = [is_due(0), is_due(1)];
         let flow = match &self.previous {
             Some(previous) => Some(self.flow.flow(previous, picture, &self.tracker.flow_regions())?),
@@ -249,13 +249,13 @@ impl Perception {
         let mut found = Vec::new();
         if let Some(detector) = self.detector.as_mut().filter(|_| detects) {
             self.boxes = detector.detect(picture)?;
-            (self.looked_s[0], by) = (frame.time_s, BoxSource::Detector);
+            (self.last_run_s[0], by) = (frame.time_s, BoxSource::Detector);
             found = self.boxes.iter().cloned().map(Into::into).collect();
         }
-        // Masks are worth the most where the detector looks as well.
+        // Masks are most useful in frames in which the detector runs, too.
         let segments = segments && (detects || self.detector.is_none());
         if segments {
-            self.looked_s[1] = frame.time_s;
+            self.last_run_s[1] = frame.time_s;
         }
         let segmenter = if segments { Some(&mut *self.segmenter as &mut dyn BoxSegmenter) } else { None };
         let input = FrameInput { found, by, segmenter };
@@ -268,7 +268,7 @@ impl Perception {
         Ok(new.chain(corrected).collect())
     }
 
-    /// The pixels that show background: neither near the detector's last boxes nor near what is followed.
+    /// Mask of the background: pixels near neither the detector's last boxes nor tracked objects.
     fn background(&self, size: (u32, u32)) -> Mask {
         let mut mask = Mask::full(size.0, size.1);
         let margin = f64::from(self.masking.dilation_px(size));

@@ -12,26 +12,26 @@ use super::lock;
 use crate::math::median;
 use crate::telemetry::{self, Fix, Log, TelemetryError};
 
-/// Bytes of the beginning that are kept, in whole lines: the header of a table, and the first position.
+/// Number of bytes kept from the beginning, in whole lines: the header of a table, and the first position.
 const HEAD_BYTES: usize = 4 << 10;
 /// Bytes of the latest lines that are kept: ten minutes of a table at 10 Hz, a quarter of a minute of the subtitles of
 /// a drone at 60 Hz.
 const TAIL_BYTES: usize = 512 << 10;
 /// Fewest positions whose arrival gives the offset between the clocks.
 const MIN_ARRIVALS: usize = 4;
-/// Median deviation of the offsets by arrival from their median above which lines did not come as they were measured,
-/// seconds: a file that is sent at once.
+/// Maximum median absolute deviation of the offsets by arrival, seconds; above it, lines did not arrive as they were
+/// measured: a file that is sent at once.
 const MAX_SPREAD_S: f64 = 0.5;
 /// Standard deviation of an offset by arrival, seconds: the difference of two delays.
 const ARRIVAL_STD_S: f64 = 0.4;
 
-/// A line and the time of the video when it came, where that says when it was measured.
+/// A line, and the video time of its arrival if that is the time of measurement.
 struct Received {
     text: Vec<u8>,
     video_s: Option<f64>,
 }
 
-/// Lines of a log that is still written.
+/// Lines of a log that is still being written.
 pub struct TelemetryFeed {
     /// Name of the recording in messages.
     path: PathBuf,
@@ -149,7 +149,7 @@ mod tests {
     }
 
     #[test]
-    fn lines_that_came_as_they_were_measured_tie_the_clocks() {
+    fn lines_that_arrive_as_they_are_measured_give_the_offset() {
         let feed = TelemetryFeed::new(Path::new("recording.csv"));
         assert!(feed.current().is_err(), "nothing has come");
         feed.push(b"time,latitude,longitude,altitude\n", true);
@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_that_is_sent_at_once_ties_nothing() {
+    fn a_log_that_is_sent_at_once_gives_no_offset() {
         let feed = TelemetryFeed::new(Path::new("recording.csv"));
         feed.note_frame(0.0, Instant::now());
         feed.push(b"time,latitude,longitude,altitude\n", true);

@@ -29,17 +29,17 @@ use crate::trajectory::{
     CommonStd, ContactEvidence, Contacts, FocalError, Outlines, PositionError, PositionMeasurement, contacts, smooth,
 };
 
-/// Time of the positions before a provisional one that its velocity rests on, seconds.
+/// Time span of the positions used for the velocity of a provisional one, seconds.
 const PAST_S: f64 = 3.0;
-/// Time between two of them at least, seconds: errors of contact points are alike in neighboring frames, and the time
-/// of smoothing grows with their number.
+/// Minimum time between two of these positions, seconds: errors of contact points are correlated in neighboring frames,
+/// and the time of smoothing grows with their number.
 const PAST_STEP_S: f64 = 0.28;
 /// Speed of a walking person, m/s: a vehicle in traffic that is slower is stationary.
 const WALKING_M_S: f64 = 1.4;
-/// Standard deviations by which the speed of a stationary vehicle is below that.
-const RESTS: f64 = 2.0;
+/// Standard deviations by which the speed of a stationary vehicle is below [`WALKING_M_S`].
+const STATIONARY_SIGMAS: f64 = 2.0;
 /// Standard deviations from zero beyond which a speed has a direction.
-const MOVES: f64 = 3.0;
+const MOVING_SIGMAS: f64 = 3.0;
 /// Views of a vehicle's tracks at which those outside the window are dropped.
 const MAX_VIEWS: usize = 200;
 
@@ -65,7 +65,7 @@ struct Vehicle {
     has_model: bool,
     /// Tracks of its points.
     points: Option<VideoFrontEnd>,
-    /// Id of the lost vehicle that it is; decided when it is confirmed.
+    /// Id of the lost vehicle whose track it continues; decided when it is confirmed.
     merged: Option<ObjectId>,
 }
 
@@ -82,7 +82,7 @@ pub(super) struct Vehicles {
 }
 
 impl Vehicles {
-    /// Takes what was seen in a frame.
+    /// Adds the observations of a frame.
     pub(super) fn push(
         &mut self,
         frame: &Frame,
@@ -115,7 +115,7 @@ impl Vehicles {
         self.forget(frame.time_s - WINDOW_S - SPARE_S);
     }
 
-    /// Id of the lost vehicle that a new one continues, by the rules by which a run merges tracks.
+    /// Id of the lost vehicle that a new one continues, by the track merging rules of a run.
     fn continued(&self, object: ObjectId, identity: &Identity) -> Option<ObjectId> {
         let after = identity.after?;
         let lost = self.vehicles.get(&after.provisional)?;
@@ -226,7 +226,7 @@ impl Vehicles {
         }
     }
 
-    /// Images of the vehicles that the border of the image does not cut.
+    /// Image boxes of the vehicles that are not truncated.
     pub(super) fn images(&self, camera: &Camera) -> Vec<BTreeMap<FrameId, Rect>> {
         let is_whole = |rect: &Rect| {
             rect.x0 > 0.0 && rect.y0 > 0.0 && rect.x1 < f64::from(camera.width) && rect.y1 < f64::from(camera.height)
@@ -242,12 +242,12 @@ impl Vehicles {
         self.vehicles.iter().map(|(&id, vehicle)| (id, vehicle.positions.clone())).collect()
     }
 
-    /// Number of vehicles of which the local frame has a model.
+    /// Number of vehicles with a model in the local frame.
     pub(super) fn num_models(&self) -> usize {
         self.vehicles.values().filter(|vehicle| vehicle.has_model).count()
     }
 
-    /// Gives the frames that become final with a map, and their positions.
+    /// Removes and returns the frames that become final with a map, and their positions.
     ///
     /// * `until_s` – time of the last of these frames, seconds.
     /// * `positions` – contact points in this map.
@@ -314,7 +314,7 @@ impl Vehicles {
 }
 
 impl Vehicle {
-    /// Positions up to the last one that its velocity rests on.
+    /// Recent positions that determine the current velocity.
     fn past(&self, now_s: f64) -> Vec<&GroundPosition> {
         let mut next_s = f64::INFINITY;
         let chosen = self.positions.values().rev().take_while(|position| now_s - position.time_s <= PAST_S);
@@ -344,7 +344,7 @@ impl Vehicle {
         let Identity { id, class, confidence, .. } = self.identity.clone()?;
         let map = contacts.map(|(map, _)| map);
         let placed = contacts.and_then(|(map, positions)| placed(map, positions.get(&frame.id)?));
-        let moves = motion.filter(|motion| motion.speed_m_s.abs() > MOVES * motion.speed_std_m_s);
+        let moves = motion.filter(|motion| motion.speed_m_s.abs() > MOVING_SIGMAS * motion.speed_std_m_s);
         let heading = moves.and_then(|motion| motion.heading_deg);
         let velocity = motion.map(|motion| {
             let heading = motion.heading_deg.unwrap_or(0.0).to_radians();
@@ -395,11 +395,11 @@ impl VehicleLine {
     }
 }
 
-/// Motion state by a speed and its standard deviation; a speed in no known unit cannot show rest.
+/// Motion state by a speed and its standard deviation; stationary only if the unit is known.
 fn motion_state(motion: &Motion, is_metric: bool) -> Option<MotionState> {
     let (speed, std) = (motion.speed_m_s.abs(), motion.speed_std_m_s);
-    let rests = is_metric && speed + RESTS * std < WALKING_M_S;
-    let moves = speed > MOVES * std;
+    let rests = is_metric && speed + STATIONARY_SIGMAS * std < WALKING_M_S;
+    let moves = speed > MOVING_SIGMAS * std;
     match (rests, moves) {
         (true, _) => Some(MotionState::Stationary),
         (false, true) => Some(MotionState::Moving),

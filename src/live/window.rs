@@ -17,7 +17,7 @@ use crate::math::{Rigid3, median, seeded_rng};
 use crate::pipeline::PipelineError;
 use crate::scene::{CameraId, Frame, FrameId, Image, ImageId, Mask, Observation, Point3dId, Reconstruction, Rect};
 
-/// Points that are tracked: a window has hardly any use for the 1500 of a run, which cost twice the time.
+/// Number of tracked points: the 1500 of a run add little to a window, and cost twice the time.
 const MAX_POINTS: usize = 700;
 /// Maximum number of keyframes of a map.
 const MAX_KEYFRAMES: usize = 30;
@@ -32,7 +32,7 @@ const KEY_SHIFT: f64 = 12.0 / 1280.0;
 const KEY_SHARED: f64 = 0.5;
 /// Time beyond the window for which views are kept, seconds: a map under way may still make them final.
 pub(super) const SPARE_S: f64 = 4.0;
-/// Views beyond the kept ones at which they are dropped. Re-detection forgets its keyframes then.
+/// Number of views beyond the kept ones at which they are dropped. Re-detection loses its keyframes then.
 const SPARE_VIEWS: usize = 40;
 /// Maximum number of frames whose straight lines are kept: as in a run.
 const NUM_LINES: usize = 5;
@@ -51,7 +51,7 @@ pub(super) struct Limits {
     pub(super) min_inlier_ratio: f64,
 }
 
-/// State of the window that a map is made of.
+/// State of the window for the reconstruction of a map.
 pub(super) struct Snapshot {
     pub(super) table: TrackTable,
     pub(super) frames: Vec<Frame>,
@@ -112,7 +112,7 @@ impl Window {
         }
     }
 
-    /// The camera as the last map has it.
+    /// Camera by the last map.
     pub(super) fn camera(&self) -> Camera {
         self.camera
     }
@@ -134,7 +134,7 @@ impl Window {
         Snapshot { table, frames, is_key, poses, vehicles, lines, purpose }
     }
 
-    /// Takes the poses of a new map; those of frames that it does not have go on in its frame only if it is continued.
+    /// Takes the poses of a new map; those of frames that it lacks are kept only if it continues the local frame.
     pub(super) fn take_poses(&mut self, map: &WorldMap) {
         if !map.is_continued {
             self.poses.clear();
@@ -243,12 +243,12 @@ pub(super) fn known_points(table: &TrackTable, model: &Reconstruction, views: &[
     found
 }
 
-/// So many of some views at the most, evenly over them.
+/// Selects at most a number of views, evenly spaced.
 pub(super) fn evenly(views: &[usize], most: usize) -> impl Iterator<Item = usize> {
     views.iter().copied().step_by(views.len().div_ceil(most).max(1))
 }
 
-/// Adds to a model those of some views that it does not have, where enough points agree.
+/// Registers in a model the views that it lacks, where there are enough inliers.
 pub(super) fn register(
     model: &mut Reconstruction,
     table: &TrackTable,
@@ -267,7 +267,7 @@ pub(super) fn register(
     }
 }
 
-/// An image of a model by resection; `None` where too few points agree.
+/// An image of a model by resection; `None` where there are too few inliers.
 ///
 /// * `points` – by feature.
 /// * `before` – a pose nearby.

@@ -4,7 +4,7 @@ use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
 use super::{Sim3, centroid, svd3};
 
-/// The similarity `target_from_source` that minimises the summed squared distance over pairs.
+/// The similarity `target_from_source` that minimizes the summed squared distance over pairs.
 ///
 /// S. Umeyama, *Least-squares estimation of transformation parameters between two point patterns*, PAMI 1991, eqs.
 /// 34–43.

@@ -1,4 +1,4 @@
-//! Eigenvalues and singular values of matrices of any content.
+//! Eigenvalues and singular values of matrices with possibly non-finite entries.
 //!
 //! nalgebra iterates until its result converges, which a matrix that is not finite never does.
 

@@ -1,6 +1,6 @@
 //! Homography and fundamental matrix from correspondences.
 //!
-//! Normalised direct linear transforms (Hartley, Zisserman, *Multiple View Geometry*, algorithms 4.2 and 11.1).
+//! Normalized direct linear transforms (Hartley, Zisserman, *Multiple View Geometry*, algorithms 4.2 and 11.1).
 
 use nalgebra::{Matrix3, SMatrix, SVector, Vector2, Vector3};
 
@@ -34,8 +34,9 @@ pub fn fundamental_from_points(from: &[Vector2<f64>], to: &[Vector2<f64>]) -> Op
     unit(b.transpose() * svd.recompose().ok()? * a)
 }
 
-/// The N matrices, row by row, that rows of nine are nearest to being orthogonal to, the nearest first; `None` if one
-/// more is equally near.
+/// The N null vectors of rows of nine, in the least-squares sense, as row-major matrices, best first.
+///
+/// `None` if one more is equally good.
 pub(crate) fn null_matrices<const N: usize>(rows: impl Iterator<Item = Row>) -> Option<[Matrix3<f64>; N]> {
     let gram = rows.fold(SMatrix::<f64, 9, 9>::zeros(), |gram, row| gram + row * row.transpose());
     let eigen = symmetric_eigen(gram)?;

@@ -1,10 +1,10 @@
-//! Nearest neighbours by index.
+//! Nearest neighbors by index.
 
 use std::num::NonZero;
 
 use kiddo::{ImmutableKdTree, SquaredEuclidean};
 
-/// A kd-tree over positions, which must be finite: the tree takes NaN in silence and then answers nonsense.
+/// A kd-tree over positions, which must be finite: the tree accepts NaN silently and then returns wrong results.
 pub(crate) struct Neighbors<const K: usize> {
     tree: ImmutableKdTree<f64, K>,
 }
@@ -15,7 +15,7 @@ impl<const K: usize> Neighbors<K> {
         ImmutableKdTree::new_from_slice(positions).ok().map(|tree| Self { tree })
     }
 
-    /// Indices of the `count` positions nearest to a place, nearest first; all of them if there are fewer.
+    /// Indices of the `count` positions nearest to a query point, nearest first; all of them if there are fewer.
     pub(crate) fn nearest(&self, place: &[f64; K], count: usize) -> Vec<usize> {
         let Some(count) = NonZero::new(count) else { return Vec::new() };
         let found = self.tree.query(place).nearest_n::<SquaredEuclidean<f64>>(count).execute();

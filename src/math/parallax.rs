@@ -2,8 +2,9 @@
 
 use nalgebra::Point3;
 
-/// The largest angle at a point between the directions to the first or the last of the centres and any other: for a
-/// path of cameras the widest one, at linear cost.
+/// The largest angle at a point between the directions to the first or the last center and any other.
+///
+/// For a camera trajectory this is the widest angle, at linear cost.
 pub fn widest_angle(point: Point3<f64>, centers: impl Iterator<Item = Point3<f64>>) -> f64 {
     let directions: Vec<_> = centers.map(|c| (c - point).normalize()).collect();
     let ends = [directions.first(), directions.last()];

@@ -12,13 +12,13 @@ pub fn is_finite(point: &Point3<f64>) -> bool {
     point.coords.iter().all(|x| x.is_finite())
 }
 
-/// Any unit vector at a right angle to a unit vector.
+/// Any unit vector orthogonal to a unit vector.
 pub fn any_across(direction: &Vector3<f64>) -> Vector3<f64> {
     let axis = if direction.x.abs() < 0.6 { Vector3::x() } else { Vector3::y() };
     direction.cross(&axis).normalize()
 }
 
-/// Two unit directions across a unit vector and one another.
+/// Two unit vectors orthogonal to a unit vector and to each other.
 pub fn across(direction: &Vector3<f64>) -> [Vector3<f64>; 2] {
     let first = any_across(direction);
     [first, direction.cross(&first)]

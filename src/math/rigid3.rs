@@ -16,17 +16,17 @@ pub struct Rigid3 {
 }
 
 impl Rigid3 {
-    /// The transform that moves nothing.
+    /// The identity transform.
     pub fn identity() -> Self {
         Self { rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
     }
 
-    /// From its two parts.
+    /// Transform from rotation and translation.
     pub fn new(rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         Self { rotation, translation }
     }
 
-    /// The camera pose `cam_from_world` of a camera with this rotation whose centre stands at `center_in_world`.
+    /// The pose `cam_from_world` of a camera with this rotation and its center at `center_in_world`.
     pub fn from_rotation_and_center(rotation: UnitQuaternion<f64>, center_in_world: Point3<f64>) -> Self {
         Self { rotation, translation: -(rotation * center_in_world.coords) }
     }
@@ -37,7 +37,7 @@ impl Rigid3 {
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// Where the target's origin lies in the source frame: for `cam_from_world`, the camera centre in the world.
+    /// Origin of the target frame in the source frame: for `cam_from_world`, the camera center in the world.
     pub fn center(&self) -> Point3<f64> {
         Point3::from(-(self.rotation.inverse() * self.translation))
     }

@@ -1,4 +1,4 @@
-//! Figures with the digits that they have: for people, in every outlet.
+//! Formatting of values with their significant digits, for all human-readable output.
 
 /// Significant digits of a standard deviation.
 const STD_DIGITS: i32 = 2;
@@ -29,7 +29,7 @@ pub fn to_std(value: f64, std: f64) -> String {
     }
 }
 
-/// Formats a number of things: `1 frame`, `2 frames`.
+/// Formats a count with its noun: `1 frame`, `2 frames`.
 pub fn counted(number: usize, noun: &str) -> String {
     format!("{number} {noun}{}", if number == 1 { "" } else { "s" })
 }
@@ -50,7 +50,7 @@ pub fn percent(fraction: f64) -> String {
     }
 }
 
-/// Formats a value with so many significant digits: no exponent, no NaN, a true minus sign.
+/// Formats a value with `digits` significant digits: no exponent, no NaN, a true minus sign.
 pub fn significant(value: f64, digits: i32) -> String {
     match value.abs() {
         v if !v.is_finite() => "unknown".to_owned(),
@@ -61,8 +61,9 @@ pub fn significant(value: f64, digits: i32) -> String {
     }
 }
 
-/// Decimal place of the last of so many significant digits: −2 are hundredths. One digit more where the first is
-/// rounded up to the next power of ten.
+/// Decimal place of the last of `digits` significant digits: −2 for hundredths.
+///
+/// Accounts for values rounded up to the next power of ten.
 fn place(value: f64, digits: i32) -> i32 {
     let place = value.abs().log10().floor() as i32 + 1 - digits;
     let unit = 10f64.powi(place);
@@ -75,7 +76,7 @@ fn rounded(value: f64, place: i32) -> String {
     let value = if place > 0 { (value / unit).round() * unit } else { value };
     let decimals = (-place).clamp(0, 12) as usize;
     let text = format!("{value:.decimals$}");
-    // Nothing but zeros has no sign.
+    // Zero has no sign.
     if text.chars().any(|c| ('1'..='9').contains(&c)) {
         text.replacen('-', "−", 1)
     } else {
@@ -83,7 +84,7 @@ fn rounded(value: f64, place: i32) -> String {
     }
 }
 
-/// "3–7, 9" of ascending numbers; the middle of a long list is left out.
+/// Formats ascending numbers as ranges, "3–7, 9"; the middle of a long list is omitted.
 pub fn ranges(numbers: impl IntoIterator<Item = u32>) -> String {
     let numbers: Vec<u32> = numbers.into_iter().collect();
     let runs: Vec<String> = numbers

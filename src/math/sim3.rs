@@ -23,12 +23,12 @@ pub struct Sim3 {
 }
 
 impl Sim3 {
-    /// The transform that moves nothing.
+    /// The identity transform.
     pub fn identity() -> Self {
         Self { scale: 1.0, rotation: UnitQuaternion::identity(), translation: Vector3::zeros() }
     }
 
-    /// From its three parts.
+    /// Transform from scale, rotation and translation.
     pub fn new(scale: f64, rotation: UnitQuaternion<f64>, translation: Vector3<f64>) -> Self {
         Self { scale, rotation, translation }
     }
@@ -40,8 +40,9 @@ impl Sim3 {
         Self { scale, rotation, translation: -(rotation * self.translation) * scale }
     }
 
-    /// The pose `cam_from_target` of a camera given as `cam_from_source`; the camera frame takes the target's unit of
-    /// length, so that image positions stay what they were.
+    /// The pose `cam_from_target` of a camera given as `cam_from_source`.
+    ///
+    /// The camera frame has the target's unit of length, so image positions are unchanged.
     pub fn transform_camera(&self, cam_from_source: &Rigid3) -> Rigid3 {
         Rigid3::from_rotation_and_center(
             cam_from_source.rotation * self.rotation.inverse(),

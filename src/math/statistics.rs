@@ -1,5 +1,5 @@
-//! Medians and other quantiles; the jackknife. Which of the two medians a place uses decides its last digits: they are
-//! not to be exchanged.
+//! Medians and other quantiles; the jackknife. The two medians are not interchangeable: the choice affects the last
+//! digits of results.
 
 use std::ops::Range;
 
@@ -9,37 +9,37 @@ pub const STD_PER_MAD: f64 = 1.4826;
 /// Median length of a two-dimensional normal error over the standard deviation of a coordinate (Rayleigh).
 pub const RAYLEIGH_MEDIAN: f64 = 1.177_41;
 
-/// The median; of an even count the mean of the middle two. `None` of nothing. Values must be finite.
+/// The median; for an even count the mean of the middle two. `None` if empty. Values must be finite.
 pub fn median(mut values: Vec<f64>) -> Option<f64> {
     values.sort_by(f64::total_cmp);
     let upper = *values.get(values.len() / 2)?;
     Some(if values.len() % 2 == 1 { upper } else { 0.5 * (values[values.len() / 2 - 1] + upper) })
 }
 
-/// The upper median: always one of the values, of an even count the larger of the middle two. `None` of nothing.
+/// The upper median: always one of the values, for an even count the larger of the middle two. `None` if empty.
 pub fn upper_median(mut values: Vec<f64>) -> Option<f64> {
     let middle = values.len() / 2;
     (!values.is_empty()).then(|| *values.select_nth_unstable_by(middle, f64::total_cmp).1)
 }
 
-/// Quantile by the nearest rank: always one of the values, whose order changes. `None` of nothing.
+/// Quantile by the nearest rank: always one of the values, whose order changes. `None` if empty.
 pub fn quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len().checked_sub(1)? as f64).round() as usize;
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// Range of the values but for a share at each end, by the nearest ranks; their order changes. `None` of nothing.
+/// Range of the values without a fraction at each end, by the nearest ranks; their order changes. `None` if empty.
 pub fn quantile_range(values: &mut [f64], tail: f64) -> Option<[f64; 2]> {
     Some([quantile(values, tail)?, quantile(values, 1.0 - tail)?])
 }
 
-/// Quantile by the rank rounded down. `None` of nothing.
+/// Quantile by the rank rounded down. `None` if empty.
 pub fn lower_quantile(values: &mut [f64], share: f64) -> Option<f64> {
     let rank = (share * values.len().checked_sub(1)? as f64) as usize;
     Some(*values.select_nth_unstable_by(rank, f64::total_cmp).1)
 }
 
-/// Index of the interval, of `count` equal ones from 0 to 1, in which a value lies; the first or the last beyond.
+/// Index of the bin of a value among `count` equal bins from 0 to 1; clamped to the first or last bin.
 pub fn bin(value: f64, count: usize) -> usize {
     ((value * count as f64) as usize).min(count - 1)
 }
@@ -50,7 +50,7 @@ pub fn student_4(x: f64) -> f64 {
     0.375 * (1.0 + 0.25 * x * x).powf(-2.5)
 }
 
-/// Groups of a jackknife, of which each is left out once.
+/// Number of jackknife groups, each omitted once.
 pub const JACKKNIFE_GROUPS: usize = 5;
 
 /// Ranges of the groups of a jackknife among `len` values in order.

@@ -1,4 +1,4 @@
-//! Rotations in files: a unit quaternion as `[w, x, y, z]`, whatever order the library keeps.
+//! Serialization of rotations: a unit quaternion as `[w, x, y, z]`, independent of the library's order.
 //!
 //! For `#[serde(with = "wxyz")]`.
 
@@ -18,6 +18,6 @@ pub(super) fn deserialize<'de, D: Deserializer<'de>>(from: D) -> Result<UnitQuat
     if !((quaternion.norm() - 1.0).abs() <= MAX_UNIT_ERROR) {
         return Err(de::Error::custom(format!("quaternion [{w}, {x}, {y}, {z}] is not of unit length")));
     }
-    // Kept to the bit: what was written reads back the same.
+    // Preserved bit for bit: a written value is read back unchanged.
     Ok(UnitQuaternion::new_unchecked(quaternion))
 }

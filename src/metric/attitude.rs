@@ -10,8 +10,8 @@ const TILT_STD: f64 = 0.017;
 /// Standard deviation of its yaw, which a compass gives, radians (five degrees).
 const HEADING_STD: f64 = 0.087;
 
-/// Axes east, north, up from those of a camera (x right, y down, z forward) that looks along `yaw`, clockwise from
-/// north, and `pitch`, upwards from the horizon, and is turned by `roll` to the right about its axis; radians.
+/// Axes east, north, up from those of a camera (x right, y down, z forward) whose optical axis has the direction `yaw`,
+/// clockwise from north, and `pitch`, upwards from the horizon, with a rotation `roll` to the right about it; radians.
 pub fn metric_from_cam(yaw: f64, pitch: f64, roll: f64) -> UnitQuaternion<f64> {
     let forward = Vector3::new(yaw.sin() * pitch.cos(), yaw.cos() * pitch.cos(), pitch.sin());
     let right = Vector3::new(yaw.cos(), -yaw.sin(), 0.0);
@@ -19,8 +19,8 @@ pub fn metric_from_cam(yaw: f64, pitch: f64, roll: f64) -> UnitQuaternion<f64> {
         * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), roll)
 }
 
-/// The mean of what pairs of attitudes say: `metric_from_cam` by the log and `cam_from_world` by the reconstruction, at
-/// the same times. The mean is the rotation from which the others turn away by nothing on average.
+/// Mean rotation of pairs of attitudes: `metric_from_cam` by the log and `cam_from_world` by the reconstruction, at the
+/// same times. The rotations of the pairs relative to it are zero on average.
 ///
 /// `None` without pairs, and where they disagree with each other: the log's angles are then not those of this camera.
 pub fn orientation(pairs: &[(UnitQuaternion<f64>, UnitQuaternion<f64>)]) -> Option<Orientation> {
@@ -39,7 +39,7 @@ pub fn orientation(pairs: &[(UnitQuaternion<f64>, UnitQuaternion<f64>)]) -> Opti
     })
 }
 
-/// Each round turns by the mean of what is left; five are enough for turns of a radian.
+/// Iterations of the mean: each rotates by the mean residual, and five converge from rotations of a radian.
 fn mean(rotations: &[UnitQuaternion<f64>]) -> Option<UnitQuaternion<f64>> {
     let mut mean = *rotations.first()?;
     for _ in 0..5 {
@@ -56,7 +56,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_camera_looks_where_its_angles_say() {
+    fn the_optical_axis_follows_the_angles() {
         let north = metric_from_cam(0.0, 0.0, 0.0);
         assert!((north * Vector3::z() - Vector3::y()).norm() < 1e-12);
         assert!((north * Vector3::x() - Vector3::x()).norm() < 1e-12);

@@ -1,8 +1,8 @@
-//! The way of a camera in time.
+//! Trajectory of a camera over time.
 
 use nalgebra::{Point3, Vector3};
 
-/// Camera centres at rising times, in the frame of the background, with a deviation.
+/// Camera centres at increasing times, in the frame of the background, with a standard deviation.
 #[derive(Clone, Debug, PartialEq)]
 pub struct CameraPath {
     times_s: Vec<f64>,
@@ -11,7 +11,7 @@ pub struct CameraPath {
     pub center_std: f64,
 }
 
-/// Error of camera centers as a share of the path, at least: the drift of reconstructions.
+/// Minimum error of camera centers as a share of the path length: the drift of reconstructions.
 pub const DRIFT: f64 = 0.002;
 
 impl CameraPath {
@@ -22,8 +22,8 @@ impl CameraPath {
         Self::new(poses, share * length)
     }
 
-    /// From times (seconds of the video) and centres. Entries whose time does not rise, or that are not finite, are
-    /// left out; `None` if fewer than two are left.
+    /// From times (seconds of the video) and centres. Entries whose time does not increase, or that are not finite, are
+    /// skipped; `None` if fewer than two remain.
     pub fn new(poses: impl IntoIterator<Item = (f64, Point3<f64>)>, center_std: f64) -> Option<Self> {
         let (mut times_s, mut centers): (Vec<f64>, Vec<Point3<f64>>) = (Vec::new(), Vec::new());
         for (time_s, center) in poses {
@@ -54,7 +54,7 @@ impl CameraPath {
         self.times_s[i + 1] - self.times_s[i] <= (5.0 * usual_s).max(1.0)
     }
 
-    /// Centre and velocity at a time, linear between neighbours and beyond the ends.
+    /// Centre and velocity at a time, by linear interpolation and extrapolation.
     pub fn at(&self, time_s: f64) -> (Point3<f64>, Vector3<f64>) {
         let i = self.segment(time_s);
         let duration_s = self.times_s[i + 1] - self.times_s[i];
@@ -62,7 +62,7 @@ impl CameraPath {
         (self.centers[i] + velocity * (time_s - self.times_s[i]), velocity)
     }
 
-    /// Index of the pose before a time that has one after it.
+    /// Index of the last pose before a time that also has a pose after it.
     fn segment(&self, time_s: f64) -> usize {
         let after = self.times_s.partition_point(|&time| time <= time_s);
         after.clamp(1, self.times_s.len() - 1) - 1

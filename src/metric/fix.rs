@@ -1,8 +1,8 @@
-//! A receiver's fixes in metres, made ready for a comparison with a path.
+//! Fixes of a receiver in metres, grouped for the alignment with a path.
 
 use nalgebra::{Point3, Vector2};
 
-/// Where a receiver was, in metres east, north and up of a place.
+/// Position of a receiver, in metres east, north and up of an origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionFix {
     /// Time on the log's clock, seconds.
@@ -29,8 +29,8 @@ impl PositionFix {
     }
 }
 
-/// Share of the variance of a receiver's error that wanders slowly. The rest is new in every fix. That of 1.5 m next to
-/// 3 m; receivers that smooth their fixes have less that is new, which is found from the fixes themselves.
+/// Share of slowly varying noise in the variance of a receiver's error; the rest is independent between fixes: 1.5 m
+/// next to 3 m. Receivers that smooth have less independent noise, which is estimated from the fixes.
 pub(super) const WANDER_SHARE: f64 = 0.8;
 
 /// Neighbouring fixes as one: their mean.
@@ -42,9 +42,9 @@ pub(super) struct Group {
     pub(super) position_m: Point3<f64>,
     /// True if `position_m.z` is valid.
     pub(super) has_up: bool,
-    /// Variance of what is new in every fix, horizontal and vertical, of the mean.
+    /// Variance of the independent noise of the mean, horizontal and vertical.
     pub(super) noise_m2: [f64; 2],
-    /// Standard deviation of what wanders, horizontal and vertical.
+    /// Standard deviation of the correlated noise, horizontal and vertical.
     pub(super) wander_m: [f64; 2],
 }
 
@@ -75,8 +75,8 @@ impl Group {
     }
 }
 
-/// Fixes in order of time, what is not finite left out. Equal positions that follow one another are one, in the middle
-/// of their times: they are a position that was held, or rounded.
+/// Finite fixes in order of time. Consecutive equal positions are one fix at the middle of their times: the receiver
+/// repeated or rounded a position.
 pub(super) fn distinct(fixes: &[PositionFix]) -> Vec<PositionFix> {
     let mut fixes: Vec<PositionFix> = fixes.iter().copied().filter(PositionFix::is_finite).collect();
     fixes.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
@@ -91,7 +91,7 @@ pub(super) fn distinct(fixes: &[PositionFix]) -> Vec<PositionFix> {
     .collect()
 }
 
-/// Groups of neighbors. More than 120 cost time and say nothing new: neighbors share their wander.
+/// Groups of neighbors. More than 120 cost time and add no information: neighbors share their correlated noise.
 pub(super) fn groups(fixes: &[PositionFix]) -> Vec<Group> {
     fixes.chunks(fixes.len().div_ceil(120).max(1)).map(Group::of).collect()
 }

@@ -1,8 +1,8 @@
-//! All sources of metres as one: inverse variances, and a test of each against the others.
+//! Fusion of all sources of scale by inverse variances, with a test of each against the others.
 //!
-//! Each source is an estimate of the logarithm of metres per unit. Where they differ by more than their deviations
-//! explain, the deviation of what they have in common grows by the ratio that R. T. Birge proposed (*The calculation of
-//! errors by the method of least squares*, Physical Review 40, 1932); docs/maths/metric.md, eq. 7.
+//! Each source is an estimate of the logarithm of metres per unit. Where they differ by more than their standard
+//! deviations explain, the standard deviation of their mean grows by the ratio that R. T. Birge proposed (*The
+//! calculation of errors by the method of least squares*, Physical Review 40, 1932); docs/maths/metric.md, eq. 7.
 
 use serde::Serialize;
 
@@ -44,7 +44,7 @@ pub struct Fused {
     pub verdict: MetricVerdict,
     /// Contributions of the sources, in the order in which they were given.
     pub shares: Vec<MetricShare>,
-    /// The sources that contradict the others, the worst first.
+    /// Sources that contradict the others, the worst first.
     pub contradictions: Vec<MetricContradiction>,
 }
 
@@ -55,7 +55,7 @@ impl Fused {
     }
 }
 
-/// Fuses all sources; `None` without any. Sources that are not finite count as none.
+/// Fuses all sources; `None` without any. Sources that are not finite are ignored.
 pub fn fuse(sources: &[Source]) -> Option<Fused> {
     let is_usable = |source: &&Source| source.log_scale.is_finite() && source.std.is_finite() && source.std > 0.0;
     let sources: Vec<&Source> = sources.iter().filter(is_usable).collect();
@@ -81,14 +81,14 @@ pub fn fuse(sources: &[Source]) -> Option<Fused> {
     (fused.scale.is_finite() && fused.scale > 0.0 && fused.std.is_finite()).then_some(fused)
 }
 
-/// Mean by inverse variances, and its deviation.
+/// Mean weighted by inverse variances, and its standard deviation.
 fn mean(sources: &[&Source]) -> Option<(f64, f64)> {
     let weight: f64 = sources.iter().map(|source| source.std.powi(-2)).sum();
     let sum: f64 = sources.iter().map(|source| source.log_scale * source.std.powi(-2)).sum();
     (!sources.is_empty()).then(|| (sum / weight, weight.sqrt().recip()))
 }
 
-/// The kind with the most weight; of equal ones the surer.
+/// Kind of source with the most weight; of equal ones the stronger evidence.
 fn verdict(sources: &[&Source], total: f64) -> MetricVerdict {
     let weight = |kind: Kind| -> f64 {
         sources.iter().filter(|source| source.kind == kind).map(|source| source.std.powi(-2) / total).sum()
@@ -103,7 +103,7 @@ fn verdict(sources: &[&Source], total: f64) -> MetricVerdict {
     }
 }
 
-/// Each source against the mean of the others.
+/// Tests each source against the mean of the others.
 fn contradictions(sources: &[&Source]) -> Vec<MetricContradiction> {
     let of = |i: usize| {
         let others: Vec<&Source> = (0..sources.len()).filter(|&j| j != i).map(|j| sources[j]).collect();
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn verdicts_name_what_metres_rest_on() {
+    fn verdicts_name_the_main_source_of_scale() {
         let verdict = |sources: &[Source]| fuse(sources).map(|fused| fused.verdict);
         let cars = source("cars", Kind::Prior, 1.0, 0.06);
         let fixes = source("telemetry", Kind::Telemetry, 1.0, 0.02);
@@ -153,7 +153,7 @@ mod tests {
     }
 
     #[test]
-    fn the_one_that_contradicts_is_named_first_and_nobody_is_sure_any_more() {
+    fn the_contradicting_source_is_named_first_and_the_result_widens() {
         let sources = [
             source("telemetry", Kind::Telemetry, 1.0, 0.02),
             source("camera height", Kind::Surveyed, 1.5, 0.03),

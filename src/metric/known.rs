@@ -63,7 +63,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn people_write_which_length_of_which_vehicle() {
+    fn known_lengths_are_parsed() {
         let found: KnownLength = "2:width=1.83±0.02".parse().unwrap();
         assert_eq!((found.object, found.dimension), (ObjectId(2), Dimension::Width));
         assert_eq!(found.to_string().parse(), Ok(found));

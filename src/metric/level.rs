@@ -1,4 +1,4 @@
-//! The frame in metres: from the scale of all sources, and from the fixes or else from the ground.
+//! Metric frame, from the fused scale and the fixes, or from the ground where there are none.
 
 use nalgebra::{Matrix3, Point3, Rotation3, SVector, UnitQuaternion, Vector3};
 
@@ -38,7 +38,7 @@ impl Level {
         let up_in_world = up.try_normalize(f64::EPSILON).unwrap_or_else(|| -Vector3::y());
         let first = poses().next().unwrap_or_else(Rigid3::identity);
         let forward = first.rotation.inverse() * Vector3::z();
-        // Of a camera that looks nearly straight down the upper edge of the image points ahead.
+        // For a camera facing nearly straight down, the upper edge of the image points ahead.
         let is_steep = forward.angle(&-up_in_world) < 0.3;
         Self {
             up_in_world,
@@ -49,9 +49,9 @@ impl Level {
     }
 }
 
-/// The frame where nothing says where on the map it lies: z up, y ahead, the origin of the [`Level`].
+/// Metric frame without georeference: z up, y ahead, the origin of the [`Level`].
 ///
-/// Only scale and tilt have a deviation; what lies where relative to the origin has no other.
+/// Only scale and tilt have a standard deviation; positions relative to the origin have no other error.
 pub fn frame_on_ground(fused: &Fused, level: &Level) -> MetricFrame {
     let rotation = upright(level);
     let metric_from_world = about(level.origin_in_world, Point3::origin(), fused.scale, rotation);
@@ -61,8 +61,8 @@ pub fn frame_on_ground(fused: &Fused, level: &Level) -> MetricFrame {
     frame(metric_from_world, level.origin_in_world, &covariance, fused, None)
 }
 
-/// The frame of a path on its fixes, at the scale of all sources: what the others say of the scale moves rotation and
-/// place as far as they hang on it (docs/maths/metric.md, eq. 9).
+/// Frame of a path aligned to its fixes, at the fused scale: the other sources of scale also correct rotation and
+/// position, by their correlation with it (docs/maths/metric.md, eq. 9).
 pub fn frame_on_map(fused: &Fused, alignment: &Alignment, origin: MapOrigin) -> MetricFrame {
     let Alignment { metric_from_world, anchor_in_world, covariance, .. } = alignment;
     let variance = covariance[(0, 0)];
@@ -81,12 +81,12 @@ fn log_variance(fused: &Fused) -> f64 {
     (fused.std / fused.scale).powi(2)
 }
 
-/// The similarity that takes a point to a place.
+/// Similarity that maps a point to a given position.
 fn about(point: Point3<f64>, place: Point3<f64>, scale: f64, rotation: UnitQuaternion<f64>) -> Sim3 {
     Sim3::new(scale, rotation, place - scale * (rotation * point))
 }
 
-/// Axes ahead and up as the second and the third; any where nothing is ahead.
+/// Rotation with ahead and up as the second and the third axis; an arbitrary heading without a direction ahead.
 fn upright(level: &Level) -> UnitQuaternion<f64> {
     let up = level.up_in_world.try_normalize(f64::EPSILON).unwrap_or(Vector3::z());
     let flat = |v: Vector3<f64>| (v - up * up.dot(&v)).try_normalize(1e-6);
@@ -140,7 +140,7 @@ mod tests {
     }
 
     #[test]
-    fn the_ground_lies_below_and_the_camera_looks_ahead() {
+    fn the_ground_is_below_and_the_camera_faces_ahead() {
         let fused = fuse(&[source(12.0, 0.03)]).unwrap();
         // Axes of a camera: down is the second, ahead the third.
         let level = Level {
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_others_know_of_the_scale_moves_what_hangs_on_it() {
+    fn other_sources_of_scale_correct_the_correlated_parameters() {
         let mut covariance = Covariance::identity() * 0.04;
         covariance[(0, 0)] = 0.01;
         covariance[(0, 4)] = 0.01;
@@ -193,7 +193,7 @@ mod tests {
         assert!((found.log_scale_std() - both.std / both.scale).abs() < 1e-12);
         let moved = found.metric_from_world() * alignment.anchor_in_world - place;
         assert!((moved - vector![(both.scale / 10.0).ln(), 0.0, 0.0]).norm() < 1e-9, "{moved}");
-        // Of the variance of the first axis what hung on the scale is gone.
+        // The part of the first axis' variance that is correlated with the scale is gone.
         assert!((found.std.place_m.unwrap()[0].powi(2) - 0.03 - found.covariance[0][0]).abs() < 1e-9);
     }
 }

@@ -1,20 +1,20 @@
-//! A camera that does not translate, over points of a map.
+//! Pose of a camera that does not translate, by points of a geographic map.
 //!
 //! With the camera's centre C, east, north and up of a place, and its rotation R (axes of the map from those of the
-//! background), the ray u of a point X of the ground is Rᵀ (X − C) / |X − C|. A homography starts; Gauss–Newton over
-//! turns of R and C ends it. The unit of such a background is the camera's height, so that C has the metres per unit,
-//! too. What the points deviate more than stated widens the covariance. A focal length that is known loosely is the one
-//! of the least sum of squares, with the curvature there as its information.
+//! background), the ray u of a point X of the ground is Rᵀ (X − C) / |X − C|. A homography gives the initial pose;
+//! Gauss–Newton over R and C refines it. The unit of such a background is the camera's height, so C also gives the
+//! metres per unit. Residuals above the stated standard deviations widen the covariance. A loosely known focal length
+//! is estimated by the least sum of squares, with the curvature there as its information.
 //!
-//! Positions are where rays meet the ground, which is the plane of the map: errors of height, tilt and focal length
-//! cancel there, as those of a homography do. So the scale, north and place of the alignment are those of the
-//! similarity of the plane that is nearest to the displacements of the points by θ = (turns, C, ln f):
+//! Positions are intersections of rays with the ground, which is the plane of the map: errors of height, tilt and focal
+//! length cancel there, as those of a homography do. So the scale, north and position of the alignment are those of the
+//! similarity of the plane that is nearest to the displacements of the points by θ = (rotation, C, ln f):
 //!
 //! ```text
 //! φ = (Dᵀ D)⁻¹ Dᵀ G θ,   G = ∂(points on the ground) / ∂θ,   D = ∂(points on the ground) / ∂(ln s, north, east, north)
 //! ```
 //!
-//! The rest, which no similarity explains, is added to the variance of the place.
+//! The residual of that similarity is added to the variance of the position.
 
 use nalgebra::{Matrix3, Matrix3x2, Point3, Rotation3, SMatrix, SVector, UnitQuaternion, Vector2, Vector3};
 
@@ -22,7 +22,7 @@ use super::Alignment;
 use super::align::Covariance;
 use crate::math::{Sim3, homography_from_points, svd3};
 
-/// A point of the map and the ray on which a camera at the origin of the background sees it.
+/// A point of the map and the ray to it from a camera at the origin of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapPoint {
     /// Unit vector.
@@ -35,7 +35,7 @@ pub struct MapPoint {
     pub std_m: f64,
 }
 
-/// Why points of a map do not place a camera.
+/// Reason why points of a map do not determine a camera's pose.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum MapPointsError {
     /// Points on one line, or fewer than four.
@@ -44,7 +44,7 @@ pub enum MapPointsError {
     /// Image and map are mirrored, or points are above the horizon.
     #[error("no camera above the ground sees the points so; check that longitude is first and which pixel is which")]
     NoCamera,
-    /// A point is far from where the others put it.
+    /// A point is an outlier with respect to the pose of the others.
     #[error(
         "point {index} is {off_m:.1} m from where the camera sees it; check its pixel, its position and the intrinsics"
     )]
@@ -56,11 +56,11 @@ pub enum MapPointsError {
     },
 }
 
-/// Fewest points of which one can contradict the others: without it they must have more numbers than pose and focal
-/// length.
+/// Minimum number of points to detect an outlier: the others must have more measurements than pose and focal length
+/// have parameters.
 const FEWEST_FOR_DOUBT: usize = 6;
-/// Points of which each is left out in turn, those with the largest residuals: one that has drawn pose and focal length
-/// to it has a small one, but cannot among so many.
+/// Number of points tested by leaving one out, those with the largest residuals: an outlier can bias pose and focal
+/// length so that its own residual is small, but not among so many.
 const MAX_SUSPECTS: usize = 30;
 /// Standard deviations beyond which a point contradicts the others; of twenty right ones the worst is at about three.
 const ODD_DEVIATIONS: f64 = 5.0;
@@ -81,7 +81,7 @@ impl Fit {
     fn of(points: &[MapPoint]) -> Result<Self, MapPointsError> {
         let mut pose = start(points)?;
         let mut information = SMatrix::<f64, 6, 6>::zeros();
-        // From the homography, which is right but for noise and heights: quadratic convergence.
+        // Starting from the homography, which is exact up to noise and heights: quadratic convergence.
         for _ in 0..12 {
             let mut gradient = SVector::<f64, 6>::zeros();
             information.fill(0.0);
@@ -102,13 +102,13 @@ impl Fit {
 
     /// Ratio of actual to stated residuals.
     ///
-    /// * `more` – parameters besides the pose.
+    /// * `more` – number of parameters in addition to the pose.
     fn factor(&self, more: usize) -> f64 {
         (self.squares / (self.freedom - more) as f64).sqrt()
     }
 }
 
-/// The sum of squares at a focal length, that of its prior included.
+/// Sum of squares at a focal length, including its prior.
 fn squares_at(points_at: &impl Fn(f64) -> Vec<MapPoint>, log_focal: f64, prior_std: f64) -> f64 {
     let fit = Fit::of(&points_at(log_focal)).ok().filter(|fit| fit.pose.center.z > 0.0);
     fit.map_or(f64::INFINITY, |fit| fit.squares + (log_focal / prior_std).powi(2))
@@ -131,8 +131,8 @@ fn best_focal(points_at: &impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> f64 
     best
 }
 
-/// The point that alone contradicts the others, and its distance from where they put it, metres: without it they fit
-/// far better. A focal length that is not held would give way to it, so that it is found again without the point.
+/// Single outlier, and its distance from the position predicted by the others, metres: without it they fit far better.
+/// A focal length that is not held would be biased by it, so it is estimated again without the point.
 fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, prior_std: f64) -> Option<(usize, f64)> {
     let points = points_at(0.0);
     // Without a point no more squares can go than there are.
@@ -161,10 +161,10 @@ fn odd_one_out(points_at: &impl Fn(f64) -> Vec<MapPoint>, fit: &Fit, prior_std: 
     worst.map(|(_, point)| point)
 }
 
-/// The focal length that points of a map show: logarithm of a factor and its standard deviation; `None` where they
-/// place no camera.
+/// Focal length by points of a map: logarithm of a factor and its standard deviation; `None` where they do not
+/// determine a pose.
 ///
-/// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
+/// * `points_at` – the points with rays of a camera whose focal length is larger by the exponential of the argument.
 /// * `prior_std` – standard deviation of the logarithm beforehand.
 pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) -> Option<(f64, f64)> {
     let squares = |log_focal: f64| squares_at(&points_at, log_focal, prior_std);
@@ -178,9 +178,9 @@ pub fn focal_over_map(points_at: impl Fn(f64) -> Vec<MapPoint>, prior_std: f64) 
     (curvature.is_finite() && std.is_finite() && factor <= MAX_DEVIATIONS).then(|| (best, std.min(prior_std)))
 }
 
-/// Places the camera; the middle of the points is the anchor. The covariance is that of positions on the ground.
+/// Estimates the camera's pose; the middle of the points is the anchor. The covariance is that of ground positions.
 ///
-/// * `points_at` – the points as a camera sees them whose focal length is larger by the exponential of the argument.
+/// * `points_at` – the points with rays of a camera whose focal length is larger by the exponential of the argument.
 /// * `focal_std` – standard deviation of that logarithm, these points included.
 /// * `prior_std` – the same without them; 0 where it is held.
 ///
@@ -248,7 +248,7 @@ fn covariance_on_ground(
     let mut of_parameters = SMatrix::<f64, 7, 7>::zeros();
     of_parameters.fixed_view_mut::<6, 6>(0, 0).copy_from(of_pose);
     of_parameters[(6, 6)] = focal_std.powi(2);
-    // Turns of the map's axes by the parameters.
+    // Rotation of the map's axes by the parameters.
     let mut turns = SMatrix::<f64, 3, 7>::zeros();
     turns.fixed_view_mut::<3, 3>(0, 0).fill_with_identity();
     if let Some((moved, _)) = &by_focal {
@@ -313,23 +313,23 @@ impl Pose {
         }
     }
 
-    fn way(&self, point: &MapPoint) -> Vector3<f64> {
+    fn center_to_point(&self, point: &MapPoint) -> Vector3<f64> {
         point.position_m - self.center
     }
 
     /// Predicted direction across the ray.
     fn residual(&self, point: &MapPoint) -> Vector2<f64> {
-        let direction = self.metric_from_world.inverse() * self.way(point).normalize();
+        let direction = self.metric_from_world.inverse() * self.center_to_point(point).normalize();
         let u = point.ray_in_world;
         let side = u.cross(&Vector3::ith(u.iamin(), 1.0)).normalize();
         Matrix3x2::from_columns(&[side, u.cross(&side)]).transpose() * direction
     }
 
     fn variance(&self, point: &MapPoint) -> f64 {
-        point.ray_std.powi(2) + (point.std_m / self.way(point).norm()).powi(2)
+        point.ray_std.powi(2) + (point.std_m / self.center_to_point(point).norm()).powi(2)
     }
 
-    /// Position at which a ray comes down to a height.
+    /// Intersection of a ray with the plane of a height.
     fn at_height(&self, ray_in_world: &Vector3<f64>, height: f64) -> Option<Vector2<f64>> {
         let ray = self.metric_from_world * ray_in_world;
         (ray.z < 0.0).then(|| (self.center.coords - ray * ((self.center.z - height) / ray.z)).xy())
@@ -374,7 +374,7 @@ mod tests {
 
     const GROUND: [[f64; 2]; 5] = [[-25.0, 30.0], [20.0, 35.0], [30.0, 80.0], [-30.0, 85.0], [2.0, 55.0]];
 
-    /// A camera 50 m up that looks north, 40° down, and points that err by `std_m`.
+    /// A camera at 50 m facing north, 40° down, and points with errors of `std_m`.
     fn points(num: usize, std_m: f64, seed: u64) -> (Vec<MapPoint>, UnitQuaternion<f64>, Point3<f64>) {
         let (rotation, center) = (metric_from_cam(0.1, -0.7, 0.02), Point3::new(3.0, -2.0, 50.0));
         let mut rng = seeded_rng(seed, 0);
@@ -388,7 +388,7 @@ mod tests {
         (GROUND[..num].iter().map(point).collect(), rotation, center)
     }
 
-    /// The points as a camera sees them whose focal length is taken for a share of the true one.
+    /// The points with rays of a camera whose focal length is assumed to be a share of the true one.
     fn zoomed(points: &[MapPoint], log_focal: f64) -> Vec<MapPoint> {
         let axis = metric_from_cam(0.1, -0.7, 0.02).inverse() * Vector3::new(0.1, 1.0, -0.84);
         let axis = axis.normalize();
@@ -402,7 +402,7 @@ mod tests {
     #[test]
     fn positions_on_the_ground_are_within_their_deviations() {
         const SEEN: [[f64; 2]; 4] = [[-10.0, 40.0], [15.0, 70.0], [0.0, 30.0], [-20.0, 75.0]];
-        // The same camera with a focal length that is known, and with one that points and ±15 % beforehand show.
+        // The same camera with a known focal length, and with one estimated from the points and a prior of ±15 %.
         for prior_std in [0.0, 0.15] {
             let (mut inside, mut all, mut largest_std) = ([0, 0], 0, 0.0f64);
             for seed in 0..60 {
@@ -434,15 +434,15 @@ mod tests {
                 }
             }
             let [one, two] = inside.map(|inside| f64::from(inside) / f64::from(all));
-            // Points that fit better than stated narrow nothing.
+            // Residuals below the stated standard deviations do not reduce the covariance.
             assert!((0.6..0.9).contains(&one) && two > 0.93, "{prior_std}: {one} {two}");
-            // Each alone, the height of the camera and its inclination would move them by a metre.
+            // Alone, the error of the camera's height or of its inclination would move them by a metre.
             assert!(largest_std < 0.8, "{largest_std}");
         }
     }
 
     #[test]
-    fn four_points_place_the_camera() {
+    fn four_points_determine_the_pose() {
         let (points, rotation, center) = points(4, 0.0, 0);
         let found = camera_over_map(|_| points.clone(), 0.0, 0.0).unwrap();
         assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
@@ -460,7 +460,7 @@ mod tests {
         let found = camera_over_map(|_| on_hill.clone(), 0.0, 0.0).unwrap();
         assert!((Point3::from(found.metric_from_world.translation) - center).norm() < 1e-6);
         assert!(found.metric_from_world.rotation.angle_to(&rotation) < 1e-7);
-        // The heights left out, the same points place the camera elsewhere, if at all.
+        // Without the heights, the same points give another camera position, if any.
         let flat = |point: &MapPoint| MapPoint {
             position_m: Point3::new(point.position_m.x, point.position_m.y, 0.0),
             ..*point
@@ -472,7 +472,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_point_is_named_and_does_not_bend_the_focal_length() {
+    fn an_outlier_is_named_and_does_not_bias_the_focal_length() {
         let (rotation, center) = (metric_from_cam(0.1, -0.7, 0.02), Point3::new(3.0, -2.0, 50.0));
         let (mut named, mut refused) = (0, 0);
         for seed in 0..10 {
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn points_that_place_no_camera_are_refused() {
+    fn points_that_determine_no_pose_are_rejected() {
         let (all, ..) = points(5, 0.0, 0);
         let camera = |points: &[MapPoint]| camera_over_map(|_| points.to_vec(), 0.0, 0.0);
         assert!(matches!(camera(&all[..3]), Err(MapPointsError::TooFew(3))));

@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn people_write_it_in_several_ways() {
+    fn several_notations_are_parsed() {
         let expected = Measured { value: 1.45, std: 0.05 };
         for text in ["1.45±0.05", "1.45+-0.05", " 1.45 +/- 0.05 "] {
             assert_eq!(text.parse(), Ok(expected), "{text}");

@@ -1,12 +1,12 @@
-//! Metres: how long a unit of the background is, and where its frame lies on the earth.
+//! Metric scale of the background's frame, and its georeferenced pose.
 //!
-//! A reconstruction from one camera has no unit of length. What gives it one are estimates of a single unknown, the
-//! logarithm of metres per unit, each with a standard deviation: a receiver's fixes along the camera's path
-//! ([`align_to_fixes`], which gives the place and north as well), a known height or length ([`Measured`]), and what
-//! vehicles are like ([`vehicle_sizes`]). [`fuse`] weighs them by their inverse variances, tests them against one
-//! another and says on what the result rests.
+//! A monocular reconstruction has an arbitrary unit of length. The logarithm of metres per unit is estimated by several
+//! sources, each with a standard deviation: a receiver's fixes along the camera's path ([`align_to_fixes`], which also
+//! gives position and north), a known height or length ([`Measured`]), and typical vehicle sizes ([`vehicle_sizes`]).
+//! [`fuse`] weights them by their inverse variances, tests them against one another and reports the kind of evidence of
+//! the result.
 //!
-//! `metric` is a frame of axes east, north and up in metres where a receiver gave it, else one whose z axis points up.
+//! `metric` is a frame of axes east, north and up in metres if a receiver gave it, otherwise one with the z axis up.
 //! `docs/maths/metric.md` derives the equations. This room is arithmetic on values.
 
 /// Lets serde read and write a type by its `FromStr` and `Display`: with

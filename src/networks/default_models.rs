@@ -1,9 +1,8 @@
-//! The networks that come with the program, and where they lie.
+//! Networks that come with the program, and the search for their folder.
 //!
-//! They are files of a folder `models` that is looked for when a network is needed: where the environment variable
-//! TRACTRIX_MODELS says; next to the executable; where packages put such things; and in the source tree whose `target`
-//! holds the executable. What they are, their licences and hashes stand in `models/models.toml`, which is compiled
-//! in.
+//! They are files of a folder `models` that is searched when a network is needed: at the environment variable
+//! TRACTRIX_MODELS; next to the executable; in the data folders of packages; and in the source tree whose `target`
+//! contains the executable. Their descriptions, licences and hashes are in `models/models.toml`, which is compiled in.
 
 use std::env;
 use std::path::{Path, PathBuf};
@@ -15,13 +14,13 @@ use crate::ffi::environment;
 /// The networks that come with the program.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct DefaultModels {
-    /// Finds boxes: for [`load_detector`](super::load_detector).
+    /// Box detector: for [`load_detector`](super::load_detector).
     pub detector: PathBuf,
-    /// First part of what finds the masks of boxes: for [`load_box_segmenter`](super::load_box_segmenter).
+    /// Encoder of the box segmenter: for [`load_box_segmenter`](super::load_box_segmenter).
     pub mask_encoder: PathBuf,
-    /// Its second part.
+    /// Decoder of the box segmenter.
     pub mask_decoder: PathBuf,
-    /// Small network for the same: for [`load_small_box_segmenter`](super::load_small_box_segmenter).
+    /// Small box segmenter: for [`load_small_box_segmenter`](super::load_small_box_segmenter).
     pub small_masks: PathBuf,
 }
 
@@ -40,17 +39,17 @@ impl DefaultModels {
         [&self.detector, &self.mask_encoder, &self.mask_decoder, &self.small_masks]
     }
 
-    /// The first file that is not there.
+    /// First missing file.
     fn missing(&self) -> Option<&Path> {
         self.files().into_iter().find(|file| !file.is_file())
     }
 }
 
-/// Finds the networks that come with the program: the first folder that holds them all.
+/// Finds the networks that come with the program: the first folder that contains them all.
 ///
 /// # Errors
-/// [`PerceptionError::NoModels`] lists the folders and what each lacks. If TRACTRIX_MODELS names a folder, no other one
-/// is looked into: [`PerceptionError::NamedModels`].
+/// [`PerceptionError::NoModels`] lists the folders and the missing files. If TRACTRIX_MODELS names a folder, no other
+/// one is searched: [`PerceptionError::NamedModels`].
 pub fn default_models() -> Result<DefaultModels, PerceptionError> {
     match env::var_os("TRACTRIX_MODELS").filter(|value| !value.is_empty()).map(PathBuf::from) {
         Some(named) => whole(&named).map_err(|reason| PerceptionError::NamedModels { reason }),
@@ -58,7 +57,7 @@ pub fn default_models() -> Result<DefaultModels, PerceptionError> {
     }
 }
 
-/// The descriptions of the networks that come with the program, of which each names its file.
+/// Descriptions of the networks that come with the program; each names its file.
 ///
 /// # Errors
 /// [`PerceptionError::Description`] if the table that is compiled in is not valid.
@@ -66,7 +65,7 @@ pub fn default_descriptions() -> Result<Vec<ModelDescription>, PerceptionError> 
     Ok(known()?.into_iter().filter(|description| !description.file.is_empty()).collect())
 }
 
-/// Where the networks may lie, in order.
+/// Candidate folders of the networks, in order of search.
 fn folders(executable: Option<&Path>) -> Vec<PathBuf> {
     let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else {
         return Vec::new();
@@ -76,7 +75,7 @@ fn folders(executable: Option<&Path>) -> Vec<PathBuf> {
     beside.into_iter().map(|path| folder.join(path)).chain(in_tree).collect()
 }
 
-/// The networks in a folder, or what it lacks.
+/// The networks in a folder; the error names the missing file.
 fn whole(folder: &Path) -> Result<DefaultModels, String> {
     let models = DefaultModels::of(folder);
     match models.missing() {
@@ -102,7 +101,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_installed_program_looks_beside_itself_and_a_built_one_in_its_source_tree() {
+    fn an_installed_program_searches_its_own_folder_and_a_built_one_its_source_tree() {
         let installed = folders(Some(Path::new("/opt/tractrix/bin/tractrix")));
         let expected = [
             "/opt/tractrix/bin/models",
@@ -119,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_folder_with_all_files_serves_and_others_are_told() {
+    fn the_first_complete_folder_is_used_and_others_are_listed() {
         let folder = tempfile::tempdir().unwrap();
         let (half, whole) = (folder.path().join("half"), folder.path().join("whole"));
         for (place, num_files) in [(&half, 1), (&whole, 4)] {

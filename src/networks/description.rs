@@ -1,4 +1,4 @@
-//! Properties of a network that its inputs and outputs do not show: its preprocessing and its classes.
+//! Properties of a network that its inputs and outputs do not define: its preprocessing and its classes.
 
 use std::path::{Path, PathBuf};
 
@@ -60,26 +60,26 @@ impl TensorPattern {
     }
 }
 
-/// A network as `models/models.toml` describes it. A file next to a network may have any of the fields; what it gives
-/// goes before what the network's own metadata says.
+/// Description of a network in `models/models.toml`. A file next to a network may have any of the fields; its values
+/// take precedence over the network's own metadata.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ModelDescription {
-    /// A name for people.
+    /// Display name.
     pub name: String,
     /// Task: `instances`, `boxes`, `box-masks`, `ground` or `flow`.
     pub task: String,
     /// Its file in the folder `models`, if it comes with the program.
     pub file: String,
-    /// Where it comes from.
+    /// Its origin.
     pub origin: String,
     /// Its licence.
     pub licence: String,
-    /// SHA-256 of the file that was looked at; of the program's own file if it comes with it.
+    /// SHA-256 of the described file; of the program's own file if it comes with it.
     pub sha256: String,
     /// Changes between the original and the file that comes with the program.
     pub changes: String,
-    /// Anything that a user should know.
+    /// Note for users.
     pub note: String,
     /// Its inputs, for recognition.
     pub inputs: Vec<TensorPattern>,
@@ -126,7 +126,7 @@ pub(super) fn description_of(model: &Model, task: &str) -> Result<Option<ModelDe
     }
 }
 
-/// Where the description next to a network is looked for.
+/// File path of the description next to a network.
 pub(super) fn sidecar_path(model: &Path) -> PathBuf {
     model.with_extension("toml")
 }
@@ -134,7 +134,7 @@ pub(super) fn sidecar_path(model: &Path) -> PathBuf {
 /// The description next to a network, if there is one.
 ///
 /// # Errors
-/// [`PerceptionError::Description`] if it cannot be read or is not of the right form.
+/// [`PerceptionError::Description`] if it cannot be read or is invalid.
 pub(super) fn read_sidecar(model: &Path) -> Result<Option<ModelDescription>, PerceptionError> {
     let path = sidecar_path(model);
     if !path.is_file() {

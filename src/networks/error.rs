@@ -18,7 +18,7 @@ pub enum PerceptionError {
     /// OpenCV failed.
     #[error("OpenCV: {0}")]
     OpenCv(#[from] opencv::Error),
-    /// The network belongs to no family that is known.
+    /// The network belongs to no supported family.
     #[error(
         "{}: unknown {task} network, by its inputs and outputs.\n  inputs: {}\n  outputs: {}\nSupported: {supported}",
         path.display(), list(inputs), list(outputs)
@@ -32,7 +32,7 @@ pub enum PerceptionError {
         inputs: Vec<TensorInfo>,
         /// Its outputs.
         outputs: Vec<TensorInfo>,
-        /// The families that are supported.
+        /// Supported families.
         supported: &'static str,
     },
     /// The names of a network's classes are unknown.
@@ -45,7 +45,7 @@ pub enum PerceptionError {
         path: PathBuf,
         /// Number of its classes.
         num_classes: usize,
-        /// Where the names can be given.
+        /// File path at which the names can be given.
         sidecar: PathBuf,
     },
     /// None of the network's classes is wanted.
@@ -54,12 +54,12 @@ pub enum PerceptionError {
     NoWantedClass {
         /// The model file.
         path: PathBuf,
-        /// The classes asked for.
+        /// Requested classes.
         wanted: Vec<String>,
         /// The classes that the network has.
         found: Vec<String>,
     },
-    /// A network gave a result of another shape than its family promises.
+    /// An output of a network has another shape than its family defines.
     #[error(
         "{}: output of unexpected shape {found:?}; expected {expected}",
         path.display()
@@ -72,7 +72,7 @@ pub enum PerceptionError {
         /// The shape that was expected, in words.
         expected: String,
     },
-    /// The networks that come with the program are nowhere.
+    /// The networks that come with the program were not found.
     #[error(
         "bundled networks not found; put the program's folder `models` next to the executable, or set the environment \
          variable TRACTRIX_MODELS to its path\n\
@@ -80,7 +80,7 @@ pub enum PerceptionError {
         tried.join("\n  tried: ")
     )]
     NoModels {
-        /// Each place that was tried, with what it lacks.
+        /// Searched folders, each with the missing file.
         tried: Vec<String>,
     },
     /// The folder that TRACTRIX_MODELS names does not hold the networks that come with the program.
@@ -97,10 +97,10 @@ pub enum PerceptionError {
         /// Problem, with the line.
         reason: String,
     },
-    /// An option contradicts another, or cannot be worked with.
+    /// An option is invalid or contradicts another.
     #[error(transparent)]
     Option(#[from] crate::checks::OptionError),
-    /// Things that belong to one frame differ in size.
+    /// Data of one frame differ in size.
     #[error("{what}: size {found:?} differs from that of the frame, {expected:?}")]
     SizeMismatch {
         /// Subject with the wrong size.
@@ -133,7 +133,7 @@ impl PerceptionError {
         Self::Output { path: model.path().to_owned(), found, expected }
     }
 
-    /// Returns true if what cannot be used was named by an environment variable or an option.
+    /// Returns true if the unusable input was given by an environment variable or an option.
     pub fn is_of_choice(&self) -> bool {
         matches!(
             self,

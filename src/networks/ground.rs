@@ -1,9 +1,9 @@
-//! The ground of one frame, by a semantic network.
+//! Ground segmentation of a frame by a semantic network.
 //!
-//! A network gives one score per class and cell; the ground is where the best ground class beats the best other class,
+//! A network gives one score per class and cell; the ground is where the best ground class exceeds the best other one,
 //! after linear interpolation of their difference at the frame's pixels. Networks trained from a car's point of view
-//! are right on dashcams and low drones and wrong from high up: there the geometric fallback of the ground stage serves
-//! better.
+//! are right on dashcams and low drones and wrong from high altitude: there the geometric fallback of the ground stage
+//! is better.
 
 use std::path::Path;
 
@@ -39,7 +39,7 @@ impl Default for GroundOptions {
 }
 
 impl GroundOptions {
-    /// Rejects what cannot be worked with.
+    /// Rejects invalid values.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -49,13 +49,12 @@ impl GroundOptions {
     }
 }
 
-/// Loads a semantic network; what it expects comes from the description next to it, else from the descriptions shipped
-/// with the program. `resources` is what it may take, or a number of threads; 0 is one per core.
+/// Loads a semantic network; its preprocessing comes from the description next to it, else from the descriptions
+/// shipped with the program. `resources` is its resource limit, or a number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::Option`] for options that make no sense;
-/// [`PerceptionError::UnknownLayout`] for a network without description; [`PerceptionError::NoWantedClass`] if it knows
-/// no ground.
+/// [`PerceptionError::Option`] for invalid options; [`PerceptionError::UnknownLayout`] for a network without
+/// description; [`PerceptionError::NoWantedClass`] if it has no ground class.
 pub fn load_ground_segmenter(
     path: &Path,
     options: &GroundOptions,
@@ -77,13 +76,13 @@ pub fn load_ground_segmenter(
     }
 }
 
-/// A semantic network that finds the ground in a frame, with all that is needed to feed it.
+/// A semantic network for ground segmentation, with its preprocessing.
 pub struct GroundSegmenter {
     model: Model,
     preprocessing: Preprocessing,
-    /// Which output holds the classes.
+    /// Index of the output with the classes.
     output_idx: usize,
-    /// Which classes are ground.
+    /// Flags of the ground classes.
     is_ground: Vec<bool>,
     input_size: u32,
 }
@@ -105,10 +104,10 @@ impl GroundSegmenter {
         Ok(Self { model, preprocessing, output_idx, is_ground, input_size: options.input_size })
     }
 
-    /// The pixels of `image` that show ground, at its size.
+    /// Mask of the pixels of `image` that show ground, at its size.
     ///
     /// # Errors
-    /// When the network cannot be run or answers in a shape that its description does not allow.
+    /// The network cannot be run or its output has a shape that its description does not allow.
     pub fn ground_mask(&mut self, image: &RgbImage) -> Result<Mask, PerceptionError> {
         let frame = image.dimensions();
         if image.is_empty() {

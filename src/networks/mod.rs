@@ -1,12 +1,12 @@
 //! Neural networks for detection, segmentation and optical flow.
 //!
-//! A [`Segmenter`] finds objects in one frame with their masks, a [`Yolox`] finds them as boxes, a [`BoxSegmenter`]
-//! finds the masks of boxes, a [`GroundSegmenter`] finds the ground in one frame, a [`FlowEstimator`] estimates where
-//! each pixel of one frame lies in another. A detector and a prompter come with the program ([`default_models`]).
+//! A [`Segmenter`] segments the objects of a frame, a [`Yolox`] detects them as boxes, a [`BoxSegmenter`] segments
+//! objects from box prompts, a [`GroundSegmenter`] segments the ground, and a [`FlowEstimator`] estimates optical flow
+//! between two frames. A detector and a box segmenter come with the program ([`default_models`]).
 //!
-//! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs, and what cannot
-//! be seen from these (the preprocessing of a semantic network) stands in `models/models.toml` or in a file of the same
-//! form next to the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
+//! Networks are ONNX files; their family is recognised from the names and shapes of inputs and outputs. Further
+//! properties (the preprocessing of a semantic network) are in `models/models.toml` or in a file of the same format
+//! next to the network, `network.toml` for `network.onnx`. See `docs/perception.md`.
 
 mod default_models;
 mod description;
@@ -29,6 +29,6 @@ pub use self::segmentation::{
 };
 pub use default_models::{DefaultModels, default_descriptions, default_models};
 
-/// Longer sides of pictures, pixels, that networks are asked about: below, there is nothing to see; beyond, memory
-/// ends.
+/// Valid range of the longer side of a network's input, pixels: smaller inputs show no detail, larger ones exceed
+/// memory.
 pub(crate) const INPUT_SIZES: std::ops::RangeInclusive<u32> = 32..=8192;

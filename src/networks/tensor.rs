@@ -1,4 +1,4 @@
-//! From pixels to a network's input.
+//! Conversion of pixels to a network's input tensor.
 
 use ::image::RgbImage;
 
@@ -6,11 +6,10 @@ use super::description::{ChannelOrder, Preprocessing};
 use crate::ffi::onnx::{Model, Tensor};
 use crate::image::scale_to_fit;
 
-/// The grey beyond an image, as YOLO networks are trained with.
+/// Gray value of padding, as in the training of YOLO networks.
 pub(super) const PAD: u8 = 114;
 
-/// Width and height of the image that a network takes, the last two sides of its first input; those that it leaves open
-/// are `open`.
+/// Width and height of a network's input image, the last two sides of its first input; free ones are `open`.
 pub(super) fn input_size(model: &Model, open: (u32, u32)) -> (u32, u32) {
     let sides = &model.inputs()[0].shape;
     let side = |from_last: usize, open: u32| {
@@ -19,7 +18,7 @@ pub(super) fn input_size(model: &Model, open: (u32, u32)) -> (u32, u32) {
     (side(1, open.0), side(2, open.1))
 }
 
-/// The smallest size with sides of whole steps that holds a frame scaled to fit a longer side.
+/// Smallest size with sides of whole steps that contains a frame scaled to a maximum longer side.
 pub(super) fn size_in_steps(frame: (u32, u32), max_side: u32, step: u32) -> (u32, u32) {
     let (width, height) = scale_to_fit(frame.0, frame.1, max_side);
     (width.next_multiple_of(step), height.next_multiple_of(step))
@@ -43,7 +42,7 @@ pub(super) fn tensor_from_image(image: &RgbImage, preprocessing: &Preprocessing)
     tensor
 }
 
-/// A plane of numbers that is read between its samples; sample (0, 0) is the centre of the first cell, (0.5, 0.5).
+/// Plane of samples for interpolation; sample (0, 0) is at the centre of the first cell, (0.5, 0.5).
 pub(super) struct Plane<'a> {
     pub(super) width: usize,
     pub(super) height: usize,
@@ -51,22 +50,22 @@ pub(super) struct Plane<'a> {
 }
 
 impl Plane<'_> {
-    /// Linear interpolation at a position in cells; beyond the outermost centres the border value holds.
+    /// Linear interpolation at a position in cells; beyond the outermost centres the border value is used.
     pub(super) fn sample(&self, x: f32, y: f32) -> f32 {
         Between::new(x, y, self.width, self.height).value(self.values)
     }
 }
 
-/// A place between the samples of planes of one size.
+/// Interpolation weights of a position in planes of one size.
 pub(super) struct Between {
-    /// Indices of the samples round it: above left and right, below left and right.
+    /// Indices of the surrounding samples: above left and right, below left and right.
     near: [usize; 4],
     /// Offset from the first of them, cells across and down.
     part: [f32; 2],
 }
 
 impl Between {
-    /// At a position in cells; beyond the outermost centres it is at the border.
+    /// Weights at a position in cells; beyond the outermost centres those at the border.
     #[inline(always)]
     pub(super) fn new(x: f32, y: f32, width: usize, height: usize) -> Self {
         let x = (x - 0.5).clamp(0.0, (width - 1) as f32);
@@ -77,7 +76,7 @@ impl Between {
         Self { near, part: [x - x0 as f32, y - y0 as f32] }
     }
 
-    /// Value of a plane there, by linear interpolation.
+    /// Value of a plane at the position, by linear interpolation.
     #[inline(always)]
     pub(super) fn value(&self, values: &[f32]) -> f32 {
         let [a, b, c, d] = self.near.map(|k| values[k]);

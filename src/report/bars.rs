@@ -1,9 +1,8 @@
-//! Grouped bar charts as SVG files, in the arrangement of the paper's two: a group per trajectory, a color per vehicle,
-//! a filling per estimator.
+//! Grouped bar charts as SVG files, arranged like the paper's two: a group per trajectory, a color per vehicle, a
+//! filling per estimator.
 //!
-//! A bar that failed is a cross on the axis, one that is higher than the chart is cut and carries its value. Next to a
-//! bar may stand a published value (a ring) and the value that a perfect estimator would have reached (a line across
-//! it).
+//! A failed bar is a cross on the axis; a bar that exceeds the chart is clipped and labeled with its value. A bar may
+//! have a published value (a ring) and the value of a perfect estimator (a line across it).
 
 use plotters::prelude::*;
 
@@ -12,7 +11,7 @@ use super::svg::{self, Area, DrawResult, FONT};
 /// Size of a chart, pixels.
 const SIZE: (u32, u32) = (1200, 450);
 
-/// Height of one of several charts above one another, pixels.
+/// Height of one of several stacked charts, pixels.
 const PANEL_PX: u32 = 230;
 
 /// Colors of the clusters, distinguished also by the color-blind (after Okabe and Ito).
@@ -40,13 +39,13 @@ pub(super) enum Filling {
 /// The height of a bar.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Height {
-    /// There is no such bar.
+    /// No bar.
     Absent,
-    /// There should be one.
+    /// Failed bar.
     Failed,
-    /// The data leave the value open.
+    /// Value undetermined by the data.
     Undetermined,
-    /// There is one.
+    /// Height of the bar.
     Value(f64),
 }
 
@@ -54,9 +53,9 @@ pub(super) enum Height {
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Bar {
     pub height: Height,
-    /// A published value to compare with.
+    /// A published value for comparison.
     pub published: Option<f64>,
-    /// The best that could be reached.
+    /// The value of a perfect estimator.
     pub floor: Option<f64>,
 }
 
@@ -71,7 +70,7 @@ pub(super) struct BarChart {
     pub bars: Vec<Vec<Vec<Bar>>>,
 }
 
-/// Charts above one another as one SVG file.
+/// Stacked charts as one SVG file.
 ///
 /// # Errors
 /// [`ReportError::Chart`](super::ReportError::Chart) if it cannot be laid out.
@@ -102,7 +101,7 @@ impl BarChart {
             .x_label_area_size(28)
             .y_label_area_size(64)
             .build_cartesian_2d(0.0..self.groups.len().max(1) as f64, 0.0..top)?;
-        // Ten lighter lines between two others would be most of the file.
+        // Ten minor grid lines per interval would be most of the file.
         let mut mesh = chart.configure_mesh();
         mesh.disable_x_mesh().disable_x_axis().max_light_lines(1).y_desc(svg::text(&self.y_label)).draw()?;
         let plot = chart.plotting_area();

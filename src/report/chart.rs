@@ -1,7 +1,7 @@
 //! Line charts and frame bars as numbers for the template, which draws them as SVG.
 //!
-//! The plotting area is a box of 1000 × 1000 stretched to the page; tick labels are text of the page, placed in per
-//! cent, so that they keep their size on a phone.
+//! The plotting area is a box of 1000 × 1000 stretched to the page; tick labels are text of the page, positioned in
+//! per cent, which keeps their size on a phone.
 
 use serde::Serialize;
 
@@ -12,20 +12,20 @@ use super::words::count;
 
 /// Side of the plotting area in its own units.
 const SIDE: f64 = 1000.0;
-/// Points drawn per line; more are averaged in runs.
+/// Maximum number of points per line; more are averaged in groups.
 const MAX_POINTS: usize = 500;
 
 /// One line.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Line {
     pub label: String,
-    /// A CSS colour.
+    /// A CSS color.
     pub colour: String,
     /// (time, value), ascending in time.
     pub points: Vec<(f64, f64)>,
-    /// Dots instead of a line: for values that are no function of their neighbours.
+    /// Dots instead of a line: for values independent of their neighbors.
     pub dots: bool,
-    /// (time, low, high) of a band round the line; empty without one.
+    /// (time, low, high) of a band around the line; empty without one.
     pub band: Vec<(f64, f64, f64)>,
     /// Raw data of the line, drawn thin behind it; may be empty.
     pub raw: Vec<(f64, f64)>,
@@ -35,7 +35,7 @@ pub(super) struct Line {
 #[derive(Clone, Debug)]
 pub(super) struct Level {
     pub value: f64,
-    /// Half width of the band round it.
+    /// Half width of the band around it.
     pub std: Option<f64>,
     pub colour: String,
 }
@@ -52,7 +52,7 @@ pub(super) struct Chart {
     pub from_zero: bool,
 }
 
-/// A chart as the template draws it.
+/// A chart in the form that the template draws.
 #[derive(Clone, Debug, Serialize)]
 pub(super) struct Drawing {
     title: String,
@@ -89,19 +89,19 @@ struct DrawnLevel {
 }
 
 impl Chart {
-    /// The drawing over the time of a run; `None` if no line has a point.
+    /// The chart over the time of a run; `None` if no line has a point.
     pub fn draw(&self, timeline: &Timeline) -> Option<Drawing> {
         self.draw_over(timeline.span(), timeline.ticks())
     }
 
-    /// The drawing over any axis; `None` if no line has a point.
+    /// The chart over any axis; `None` if no line has a point.
     pub fn draw_over(&self, span: (f64, f64), x_ticks: Vec<Tick>) -> Option<Drawing> {
         let lines = self.thinned()?;
         let range = self.range(&lines);
         Some(self.drawn(&lines, span, x_ticks, range))
     }
 
-    /// The same with every value inside, however wild it is.
+    /// The same with every value in range, including outliers.
     pub fn draw_whole(&self, span: (f64, f64), x_ticks: Vec<Tick>) -> Option<Drawing> {
         let lines = self.thinned()?;
         let values = || lines.iter().flat_map(|l| l.points.iter().map(|p| p.1));
@@ -111,7 +111,7 @@ impl Chart {
         Some(self.drawn(&lines, span, x_ticks, range))
     }
 
-    /// Lines with as many points as are drawn; `None` if none has a point.
+    /// Lines thinned to the drawn number of points; `None` if none has a point.
     fn thinned(&self) -> Option<Vec<Line>> {
         let lines: Vec<Line> = self.lines.iter().map(thinned).filter(|l| !l.points.is_empty()).collect();
         (!lines.is_empty()).then_some(lines)
@@ -146,7 +146,7 @@ impl Chart {
         }
     }
 
-    /// Low and high end of the value axis: nearly all values, so that one wild value does not flatten the rest.
+    /// Low and high end of the value axis: nearly all values, so that an outlier does not flatten the rest.
     fn range(&self, lines: &[Line]) -> (f64, f64) {
         let mut values: Vec<f64> = lines.iter().flat_map(|l| l.points.iter().map(|p| p.1)).collect();
         values.extend(lines.iter().flat_map(|l| l.band.iter().flat_map(|(_, low, high)| [*low, *high])));
@@ -164,7 +164,7 @@ impl Chart {
         if self.from_zero {
             low = low.min(0.0);
         }
-        // A value that does not change shall not look as if it did.
+        // A constant value must not appear to vary.
         let least = (0.02 * low.abs().max(high.abs())).max(1e-9);
         let pad = (0.08 * (high - low)).max(least);
         (if self.from_zero && low >= 0.0 { 0.0 } else { low - pad }, high + pad)
@@ -186,7 +186,7 @@ fn thinned(line: &Line) -> Line {
 
 fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usize) -> DrawnLine {
     let mut steps: Vec<f64> = line.points.windows(2).map(|w| w[1].0 - w[0].0).collect();
-    // A gap of more typical steps breaks a line.
+    // Minimum gap that breaks a line, in typical steps.
     let gap = quantile(&mut steps, 0.5) * 1.6;
     let mut path = String::new();
     let mut last = f64::NEG_INFINITY;
@@ -218,7 +218,7 @@ fn drawn_line(line: &Line, place: impl Fn(f64, f64) -> (f64, f64), decimals: usi
     }
 }
 
-/// A path through these corners; empty without any.
+/// SVG path through the points; empty without any.
 fn joined(corners: impl Iterator<Item = String>, end: &str) -> String {
     let corners: Vec<String> = corners.collect();
     if corners.is_empty() { String::new() } else { format!("M{}{end}", corners.join("L")) }
@@ -237,11 +237,11 @@ pub(super) fn significant(v: f64, digits: i32) -> f64 {
 /// State of a frame in a model.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum FrameState {
-    /// Not in the picture.
+    /// Not in the image.
     Absent,
-    /// In the picture, camera not found.
+    /// In the image, camera not registered.
     Missing,
-    /// Camera found.
+    /// Camera registered.
     Registered,
 }
 
@@ -255,7 +255,7 @@ pub(super) struct Bars {
     runs: Vec<Run>,
 }
 
-/// Neighbouring frames in one state.
+/// Neighboring frames in one state.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 struct Run {
     x: f64,
@@ -265,7 +265,7 @@ struct Run {
 }
 
 impl Bars {
-    /// Of one state per frame of the timeline.
+    /// Frame bars of one state per frame of the timeline.
     pub fn new(label: String, colour: String, states: &[FrameState], timeline: &Timeline) -> Self {
         let count = |state| states.iter().filter(|s| **s == state).count();
         let registered = count(FrameState::Registered);
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gap_breaks_the_line_and_a_wild_value_does_not_flatten_it() {
+    fn gap_breaks_the_line_and_an_outlier_does_not_flatten_it() {
         let mut points: Vec<_> =
             (0..30).filter(|i| !(10..14).contains(i)).map(|i| (f64::from(i), 5.0 + f64::from(i % 3))).collect();
         points[20].1 = 4000.0;

@@ -9,12 +9,12 @@ use crate::scene::{
     TrackedObject,
 };
 
-/// Everything the page shows; the pipeline fills it from a finished output folder.
+/// Content of the page, filled by the pipeline from a finished output folder.
 #[derive(Clone, Debug)]
 pub struct Data<'a> {
     /// Title: the input's file or folder name.
     pub title: String,
-    /// Facts on the input: kind, size, rate, where the intrinsics came from.
+    /// Facts on the input: kind, size, rate, source of the intrinsics.
     pub input: Vec<Fact>,
     /// Version of the program.
     pub version: String,
@@ -24,7 +24,7 @@ pub struct Data<'a> {
     pub time_base: TimeBase,
     /// All frames that were used, ascending in time.
     pub frames: &'a [Frame],
-    /// The background, and why frames are missing from it.
+    /// The background, with the reasons for its missing frames.
     pub background: Model<'a>,
     /// Metric scale, if known.
     pub metric: Option<&'a Metric>,
@@ -36,7 +36,7 @@ pub struct Data<'a> {
     pub missing: Vec<Missing>,
     /// Film, strip and portraits.
     pub pictures: Pictures,
-    /// Warnings of the run, the gravest first.
+    /// Warnings of the run, the most severe first.
     pub warnings: Vec<String>,
     /// Cost of the run.
     pub stages: Vec<Stage>,
@@ -48,17 +48,17 @@ pub struct Data<'a> {
     pub is_sfm: bool,
 }
 
-/// A reconstruction and the frames it lacks.
+/// A reconstruction and its missing frames.
 #[derive(Clone, Debug)]
 pub struct Model<'a> {
     /// Registered images and points; images belong to frames by name.
     pub reconstruction: &'a Reconstruction,
-    /// Frames that could not be registered, and why.
+    /// Unregistered frames, with reasons.
     pub unregistered: BTreeMap<FrameId, String>,
 }
 
 impl<'a> Model<'a> {
-    /// The registered image of each frame. Models that were made elsewhere share only the names with us.
+    /// The registered image of each frame. Models made elsewhere share only the image names with the program.
     pub(super) fn images(&self, frames: &[Frame]) -> Vec<Option<&'a Image>> {
         let by_name: HashMap<&str, &'a Image> =
             self.reconstruction.images.values().map(|image| (image.name.as_str(), image)).collect();
@@ -83,27 +83,27 @@ pub struct Object<'a> {
     pub model: Option<Model<'a>>,
     /// Its trajectory, if there is one.
     pub trajectory: Option<&'a ObjectTrajectory>,
-    /// Its track on the ground, where there is no usable trajectory.
+    /// Its ground track, where there is no usable trajectory.
     pub ground_track: Option<&'a GroundTrack>,
-    /// The scale ratio that each frame alone gives (eq. r_per_image), where the intersection method ran.
+    /// The scale ratio of each single frame (eq. r_per_image), where the intersection method ran.
     pub ratio_per_frame: Vec<(FrameId, f64)>,
-    /// Why there is no trajectory.
+    /// Reason for a missing trajectory.
     pub failure: Option<String>,
 }
 
 impl<'a> Object<'a> {
-    /// The ground track, where it is the answer: there is no trajectory, or one that is rejected.
+    /// The ground track, where it is the reported result: the trajectory is missing or rejected.
     pub(super) fn answering_track(&self) -> Option<&'a GroundTrack> {
         self.ground_track.filter(|_| self.trajectory.is_none_or(ObjectTrajectory::is_ruled_out))
     }
 }
 
-/// Something that could not be reconstructed.
+/// An object without a reconstruction.
 #[derive(Clone, Debug, PartialEq, serde::Serialize)]
 pub struct Missing {
-    /// What.
+    /// The object.
     pub what: String,
-    /// Why.
+    /// The reason.
     pub reason: String,
 }
 
@@ -124,7 +124,7 @@ impl Fact {
         Self { label: label.into(), value: value.into(), note: None }
     }
 
-    /// With a note.
+    /// A figure with a note.
     pub fn with_note(self, note: impl Into<String>) -> Self {
         Self { note: Some(note.into()), ..self }
     }
@@ -133,9 +133,9 @@ impl Fact {
 /// A file or a folder of the result, to which the page links.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Part {
-    /// The vehicle that it is of; `None` if of the whole run.
+    /// The vehicle it belongs to; `None` if the whole run.
     pub object: Option<ObjectId>,
-    /// Its path, relative to the page, with `/` between folders and at the end of one.
+    /// Its path, relative to the page, with `/` between folders and at the end of a folder.
     pub path: String,
     /// Content.
     pub holds: String,

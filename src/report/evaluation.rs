@@ -1,11 +1,11 @@
-//! Comparison of a result with the truth, in figures that need no knowledge of the methods.
+//! Comparison of a result with the ground truth, in figures for readers without knowledge of the methods.
 
 use super::data::Fact;
 use super::words::{UNKNOWN, count, figure, percent, with_unit};
 use crate::eval::{Alternative, Evaluation, Outcome, RegisteredFrames, ScaleFigures};
 use crate::scene::ObjectId;
 
-/// The figures; `name` gives the names of the run's vehicles.
+/// The figures of the comparison; `name` returns the names of the run's vehicles.
 pub(super) fn evaluation_facts(evaluation: &Evaluation, name: impl Fn(ObjectId) -> String) -> Vec<Fact> {
     let target = match evaluation.target.as_ref() {
         Ok(target) => name(target.object),
@@ -147,7 +147,7 @@ mod tests {
     }
 
     #[test]
-    fn a_real_evaluation_is_said_in_metres_and_per_cent() {
+    fn real_evaluation_is_reported_in_meters_and_per_cent() {
         let facts = facts(&testing::evaluation());
         assert_eq!(value(&facts, "camera path error").value, "1.3 mm");
         assert_eq!(value(&facts, "one unit of this result").value, "10.8 m");
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn what_could_not_be_compared_says_why() {
+    fn failed_comparison_has_a_reason() {
         let mut evaluation = testing::evaluation();
         let unavailable = || "the target was not found".to_owned();
         evaluation.target = Outcome::Unavailable { reason: unavailable() };

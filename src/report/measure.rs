@@ -3,7 +3,7 @@
 use super::timeline::Timeline;
 use crate::scene::{ObjectPose, ObjectTrajectory};
 
-/// Speed over time, in units of length per unit of time: the distance between the neighbours of a pose over the time
+/// Speed over time, in units of length per unit of time: the distance between the neighbors of a pose over the time
 /// between them.
 pub(super) fn speeds(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Vec<(f64, f64)> {
     let between = |w: &[ObjectPose]| {
@@ -20,7 +20,7 @@ mod tests {
     use crate::report::testing;
 
     #[test]
-    fn speed_is_way_over_time_and_leaves_out_what_is_no_number() {
+    fn speed_is_distance_over_time_and_skips_invalid_values() {
         let mut world = testing::world();
         let all = speeds(&world.trajectory, &Timeline::new(&world.data()));
         assert_eq!(all.len(), world.trajectory.poses.len() - 2);

@@ -1,4 +1,4 @@
-//! Metres of a result, as a reader takes them: in what lengths are reported, on what they rest, what contradicts.
+//! Metric scale of a result for the reader: the unit of lengths, its source, and conflicting evidence.
 
 use minijinja::{Value, context};
 
@@ -15,7 +15,7 @@ pub(super) struct Ruler {
 }
 
 impl Ruler {
-    /// Metres, where they are known.
+    /// Meters, where they are known.
     pub fn of(metric: Option<&Metric>) -> Self {
         match metric.and_then(frame) {
             Some(frame) => Self { factor: frame.scale, unit: "m" },
@@ -23,14 +23,14 @@ impl Ruler {
         }
     }
 
-    /// A round length in the ruler's own unit, as it stands next to a bar.
+    /// Label of a round length in the ruler's own unit, next to a bar.
     pub fn round_length(&self, length: f64) -> String {
         let unit = if length == 1.0 { self.unit.trim_end_matches('s') } else { self.unit };
         format!("{} {unit}", round_figure(length))
     }
 }
 
-/// The transform, where metres are known and are numbers.
+/// The transform, where meters are known and are numbers.
 pub(super) fn frame(metric: &Metric) -> Option<&MetricFrame> {
     metric.frame.as_ref().filter(|frame| frame.scale.is_finite() && frame.scale > 0.0)
 }
@@ -38,12 +38,12 @@ pub(super) fn frame(metric: &Metric) -> Option<&MetricFrame> {
 /// Remedy for missing meters.
 const CURE: &str = "give --camera-height or --telemetry for meters";
 
-/// On what metres rest and how sure they are, in a sentence; where there are none, why.
+/// Source and uncertainty of meters in a sentence, or the reason for their absence.
 pub fn metres_in_words(metric: Option<&Metric>) -> String {
     let Some(metric) = metric else { return format!("Lengths are not in meters: {CURE}.") };
     let Some(frame) = frame(metric) else {
         let why = metric.reason.as_deref().unwrap_or("no source of scale").trim_end_matches('.');
-        // A reason that names options names the cure.
+        // A reason that names options includes the remedy.
         let cure = if why.contains("--") { String::new() } else { format!("; {CURE}") };
         return format!("Scale in meters unknown: {why}{cure}.");
     };
@@ -58,7 +58,7 @@ pub fn metres_in_words(metric: Option<&Metric>) -> String {
     }
 }
 
-/// Metres on the page.
+/// Metric scale on the page.
 pub(super) fn on_page(metric: Option<&Metric>) -> Value {
     let share = |share: &MetricShare| {
         context! {

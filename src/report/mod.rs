@@ -1,13 +1,13 @@
-//! The page that a person looks at: `report.html`, one file that needs no network.
+//! The HTML report: `report.html`, one file that needs no network.
 //!
-//! [`Data`] holds what a run found, in the nouns of [`crate::scene`]; [`render`] turns it into the page. The page is
-//! made of `page/report.html` (a template that escapes everything it is given: file names are hostile),
+//! [`Data`] holds the results of a run, in the types of [`crate::scene`]; [`render`] turns it into the page. The page
+//! is made of `page/report.html` (a template that escapes all its input: file names are hostile),
 //! `page/style.css`, `page/page.js` (time, strip, charts) and `page/view3d.js` (the 3D view, on three.js from
 //! `third_party/three`). A content security policy inside the page lets run no script but these and load nothing from
 //! outside.
 //!
-//! Everything that grows with the video is thinned to a budget: pictures of the strip ([`strip_frames`]), points and
-//! frames of the 3D view, points of the charts. Where something was left out, the page says so.
+//! Everything that grows with the video is thinned to a budget: images of the strip ([`strip_frames`]), points and
+//! frames of the 3D view, points of the charts. The page reports omissions.
 
 mod bars;
 pub mod benchmark;
@@ -58,7 +58,7 @@ pub enum ReportError {
         /// Why.
         source: std::io::Error,
     },
-    /// A picture of the strip cannot be encoded.
+    /// An image of the strip cannot be encoded.
     #[error("image of frame {frame}: cannot be encoded: {source}")]
     Picture {
         /// Index of the frame.
@@ -66,16 +66,16 @@ pub enum ReportError {
         /// Why.
         source: image::ImageError,
     },
-    /// OpenCV refuses to shrink a picture.
+    /// OpenCV refuses to shrink an image.
     #[error("image of the report: cannot be shrunk: {0}")]
     Shrink(#[from] crate::image::ImageError),
     /// The film of the page cannot be written.
     #[error("film of the report: cannot be written: {0}")]
     Film(FfmpegError),
-    /// The page's template does not go with its data: a bug of ours.
+    /// The page's template does not match its data: a bug of the program.
     #[error("report template failed: {0}")]
     Template(#[from] minijinja::Error),
-    /// A chart's parts do not fit into it.
+    /// A chart cannot be laid out.
     #[error("chart: cannot be laid out: {0}")]
     Chart(String),
 }

@@ -7,7 +7,7 @@ use super::view::quantile;
 use super::words::figure;
 use crate::scene::{Dimensions, Estimate, FrameId, MetricPose, Motion, Position, TimeBase};
 
-/// Its motion; without a rate a motion has no meaning.
+/// The motion of a pose; without a rate a motion has no meaning.
 fn motion<'a>(data: &Data, metric: &'a MetricPose) -> Option<&'a Motion> {
     metric.motion.as_ref().filter(|_| data.time_base == TimeBase::Seconds)
 }
@@ -25,7 +25,7 @@ pub(super) fn tooltip(data: &Data, metric: Option<&MetricPose>) -> Option<String
 
 /// "38 km/h".
 fn km_h(speed_m_s: f64) -> String {
-    // Below a tenth nothing but zero is left of it.
+    // Below a tenth it would be rounded to zero.
     let rounded = if speed_m_s.abs() * KM_H < 9.95 {
         (10.0 * KM_H * speed_m_s).round() / 10.0
     } else {
@@ -34,7 +34,7 @@ fn km_h(speed_m_s: f64) -> String {
     format!("{rounded} km/h").replacen('-', "−", 1)
 }
 
-/// Size and distance of a vehicle; none where metres are unknown.
+/// Size and distance of a vehicle; none where meters are unknown.
 pub(super) fn facts(data: &Data, object: &Object) -> Vec<Fact> {
     let trajectory = object.trajectory.filter(|_| data.metric.and_then(metres::frame).is_some());
     let metric = trajectory.into_iter().flat_map(|trajectory| &trajectory.poses).filter_map(|pose| pose.metric);
@@ -58,7 +58,7 @@ pub(super) fn size(size: Dimensions, is_ruled_out: bool) -> Fact {
     Fact::new("size", [said("length", length_m), said("width", width_m), said("height", height_m)].join(", "))
 }
 
-/// Length, width and height in a line of a table: `4.30 ± 0.21 × 1.80 ± 0.09 × – m`; `None` where none is known.
+/// Length, width and height for a table: `4.30 ± 0.21 × 1.80 ± 0.09 × – m`; `None` where none is known.
 pub(super) fn size_in_brief(size: Dimensions, is_ruled_out: bool) -> Option<String> {
     let Dimensions { length_m, width_m, height_m } = size;
     let said = |dimension: Option<Estimate>| {
@@ -72,15 +72,15 @@ pub(super) fn size_in_brief(size: Dimensions, is_ruled_out: bool) -> Option<Stri
 /// A quantity over the frames of an object.
 #[derive(Clone, Copy, Debug)]
 pub(super) enum Quantity {
-    /// Kilometres per hour, along the heading.
+    /// Kilometers per hour, along the heading.
     Speed,
-    /// Metres per second².
+    /// Meters per second².
     Acceleration,
     /// Degrees, without jumps at north.
     Heading,
 }
 
-/// Value, its deviation, and what it was made from.
+/// Value, its σ, and its raw value.
 pub(super) struct Reading {
     pub frame: FrameId,
     pub value: f64,
@@ -88,7 +88,8 @@ pub(super) struct Reading {
     pub raw: Option<f64>,
 }
 
-/// A quantity at every pose that has it; of a ground track that is the answer at its positions, without headings.
+/// A quantity at every pose that has it; of a ground track that is the reported result, at its positions
+/// without headings.
 pub(super) fn readings(data: &Data, object: &Object, quantity: Quantity) -> Vec<Reading> {
     let value = |motion: &Motion, heading: Option<f64>| {
         Some(match quantity {
@@ -150,7 +151,7 @@ mod tests {
     }
 
     #[test]
-    fn a_standing_vehicle_is_said_to_stand() {
+    fn stationary_vehicle_is_reported_as_stationary() {
         assert_eq!([km_h(0.004), km_h(-2.0), km_h(13.9)], ["0 km/h", "−7.2 km/h", "50 km/h"]);
     }
 }

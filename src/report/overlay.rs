@@ -1,4 +1,4 @@
-//! Masks drawn over pictures, and the small pictures of the frame strip.
+//! Masks drawn over images, and the thumbnails of the frame strip.
 
 use image::codecs::jpeg::JpegEncoder;
 use image::{Rgb, RgbImage};
@@ -11,7 +11,7 @@ use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 /// Opacity of the object's color inside a mask.
 const TINT: f32 = 0.38;
 
-/// Ten hues that stay apart from each other and from asphalt, grass and sky, on dark and on light ground.
+/// Ten hues distinguishable from each other and from asphalt, grass and sky, on dark and on light backgrounds.
 const PALETTE: [[u8; 3]; 10] = [
     [0xf2, 0x5c, 0x2e],
     [0x1e, 0x9b, 0xe8],
@@ -25,14 +25,14 @@ const PALETTE: [[u8; 3]; 10] = [
     [0xb5, 0x5e, 0xd1],
 ];
 
-/// The colour of an object in pictures, charts and the 3D view. Ids ten apart share the hue, of which the second is
-/// darker and the third lighter; ids thirty apart share the color.
+/// The color of an object in images, charts and the 3D view. Ids that differ by ten share the hue, the second darker
+/// and the third lighter; ids that differ by thirty share the color.
 pub fn object_colour(id: ObjectId) -> [u8; 3] {
     let number = (id.0.max(1) - 1) as usize;
     let hue = PALETTE[number % PALETTE.len()];
     match number / PALETTE.len() % 3 {
         0 => hue,
-        // Shades that stay apart from their hue in a legend.
+        // Shades distinguishable from their hue in a legend.
         1 => hue.map(|part| (f32::from(part) * 0.55) as u8),
         _ => hue.map(|part| 255 - (f32::from(255 - part) * 0.5) as u8),
     }
@@ -43,13 +43,13 @@ pub(super) fn css_colour([r, g, b]: [u8; 3]) -> String {
     format!("#{r:02x}{g:02x}{b:02x}")
 }
 
-/// A picture with masks in their objects' colours: a tint inside, a solid outline. A mask of another size than the
-/// picture is scaled to it. Later masks lie over earlier ones.
+/// An image with masks in their objects' colors: a tint inside, a solid outline. A mask of another size than the
+/// image is scaled to it. Later masks are drawn over earlier ones.
 pub fn overlay(picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> RgbImage {
     drawn(picture.clone(), &Silhouette::of_all(masks))
 }
 
-/// A mask with the box around its pixels, which is all that is looked at.
+/// A mask with its bounding box, which limits the visited pixels.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Silhouette<'a> {
     pub id: ObjectId,
@@ -58,12 +58,12 @@ pub(super) struct Silhouette<'a> {
 }
 
 impl<'a> Silhouette<'a> {
-    /// Those of masks that are not empty.
+    /// The silhouettes of non-empty masks.
     pub fn of_all(masks: &[(ObjectId, &'a Mask)]) -> Vec<Self> {
         masks.iter().filter_map(|&(id, mask)| Some(Self { id, mask, bounds: mask.bounding_box()? })).collect()
     }
 
-    /// The number's place, above the middle of the mask.
+    /// Position of the number, above the center of the mask.
     pub fn label(&self) -> Label {
         let Self { id: object, mask, bounds } = *self;
         let x = f64::from(bounds.x0 + bounds.x1) / 2.0 / f64::from(mask.width());
@@ -71,7 +71,7 @@ impl<'a> Silhouette<'a> {
     }
 }
 
-/// As [`overlay`], into the picture itself.
+/// In-place variant of [`overlay`].
 pub(super) fn drawn(mut picture: RgbImage, silhouettes: &[Silhouette]) -> RgbImage {
     let line_px = (picture.width().max(picture.height()) / 360).max(1);
     for silhouette in silhouettes {
@@ -84,14 +84,14 @@ fn draw(picture: &mut RgbImage, silhouette: &Silhouette, line_px: u32) {
     let Silhouette { id, mask, bounds } = *silhouette;
     let colour = object_colour(id);
     let (width, height) = picture.dimensions();
-    // Column and row of the mask at each of the picture, nearest neighbor: they ascend.
+    // Mask column and row for each of the image, by nearest neighbor: they ascend.
     let nearest = |side: u32, own: u32| -> Vec<u32> {
         let step = f64::from(own) / f64::from(side);
         (0..side).map(|k| ((f64::from(k) + 0.5) * step) as u32).collect()
     };
     let (columns, rows) = (nearest(width, mask.width()), nearest(height, mask.height()));
     let part = |places: &[u32], first: u32, end: u32| {
-        // One more on each side: beyond the border of a mask nothing is eroded.
+        // One more on each side: nothing is eroded at the border of a cropped mask.
         let from = places.partition_point(|place| *place < first).saturating_sub(1);
         from..(places.partition_point(|place| *place < end) + 1).min(places.len())
     };
@@ -111,7 +111,7 @@ fn tinted(pixel: Rgb<u8>, colour: [u8; 3]) -> Rgb<u8> {
     Rgb(std::array::from_fn(|k| (f32::from(pixel[k]) * (1.0 - TINT) + f32::from(colour[k]) * TINT).round() as u8))
 }
 
-/// Where an object's number stands in a strip picture.
+/// Position of an object's number in an image of the strip.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Label {
     /// The object.
@@ -122,7 +122,7 @@ pub struct Label {
     pub y: f64,
 }
 
-/// A picture of the strip: small, masks drawn in, encoded.
+/// An image of the strip: reduced, with masks drawn in, encoded.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Thumbnail {
     /// The frame.
@@ -138,12 +138,12 @@ pub struct Thumbnail {
 }
 
 impl Thumbnail {
-    /// Shrinks a frame's picture, draws silhouettes over it and encodes it: the picture itself need not be kept.
+    /// Shrinks a frame's image, draws silhouettes over it and encodes it: the image itself need not be kept.
     ///
     /// # Errors
-    /// [`ReportError::Picture`] if the picture is empty.
+    /// [`ReportError::Picture`] if the image is empty.
     pub(super) fn new(frame: FrameId, picture: &RgbImage, silhouettes: &[Silhouette]) -> Result<Self, ReportError> {
-        // Longer side of a picture in the strip, pixels.
+        // Longer side of an image in the strip, pixels.
         let small = drawn(shrunk(picture, 400)?, silhouettes);
         let (width, height) = small.dimensions();
         let jpeg = jpeg(&small, 74).map_err(|source| ReportError::Picture { frame: frame.0, source })?;
@@ -159,7 +159,7 @@ pub(super) fn jpeg(picture: &RgbImage, quality: u8) -> image::ImageResult<Vec<u8
     Ok(jpeg)
 }
 
-/// A picture whose longer side is at most `longer` pixels; what is small already stays as it is.
+/// An image whose longer side is at most `longer` pixels; a smaller one stays unchanged.
 pub(super) fn shrunk(picture: &RgbImage, longer: u32) -> Result<RgbImage, ImageError> {
     let (width, height) = shrunk_size(picture.dimensions(), longer);
     resize_rgb_quickly(picture, width, height)
@@ -174,10 +174,10 @@ fn shrunk_size((width, height): (u32, u32), longer: u32) -> (u32, u32) {
     (scaled(width), scaled(height))
 }
 
-/// The frames whose pictures belong in the strip: all of a short clip, evenly spread ones of a longer one, always the
+/// The frames of the strip: all of a short clip, evenly spread ones of a longer one, always the
 /// first and the last.
 pub fn strip_frames(frames: &[FrameId]) -> Vec<FrameId> {
-    // The strip is the overview; the film shows what is between.
+    // The strip is the overview; the film shows the frames between.
     spread(frames.len(), 16).into_iter().map(|i| frames[i]).collect()
 }
 

@@ -1,4 +1,4 @@
-//! Pictures of the page: the film, the strip, and a portrait of each vehicle, made in one pass over the frames.
+//! Images of the page: the film, the strip, and a portrait of each vehicle, made in one pass over the frames.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -12,24 +12,24 @@ use crate::ffi::ffmpeg::{Encoder, FfmpegError};
 use crate::files;
 use crate::scene::{BoundingBox, FrameId, Mask, ObjectId};
 
-/// Pictures of the film: at 6 to 8 kB each the page can still be mailed. Of a longer clip evenly spread frames are
-/// shown.
+/// Maximum number of frames of the film: at 6 to 8 kB each the page can still be mailed. Of a longer clip evenly spaced
+/// frames are shown.
 const MAX_FILM_FRAMES: usize = 600;
-/// Pictures per second of the file; the page seeks in it by number.
+/// Frame rate of the film; the page seeks in it by frame number.
 pub(super) const FILM_RATE: f64 = 25.0;
 
-/// Pictures of the page.
+/// Images of the page.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Pictures {
     /// The frames with masks drawn in, as a video; `None` if FFmpeg has no encoder of H.264.
     pub film: Option<Film>,
-    /// Pictures of the strip, ascending in time.
+    /// Images of the strip, ascending in time.
     pub strip: Vec<Thumbnail>,
     /// JPEG file of each vehicle, from the frame in which its mask is largest.
     pub portraits: BTreeMap<ObjectId, Vec<u8>>,
 }
 
-/// A video of 25 pictures per second.
+/// A video of 25 frames per second.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Film {
     /// The MP4 file.
@@ -38,13 +38,13 @@ pub struct Film {
     pub width: u32,
     /// Height, pixels.
     pub height: u32,
-    /// Frame of each picture.
+    /// Frame of each image.
     pub frames: Vec<FrameId>,
-    /// Numbers of the vehicles in each picture.
+    /// Numbers of the vehicles in each image.
     pub labels: Vec<Vec<Label>>,
 }
 
-/// Makes the pictures of the page from frames that are pushed one by one.
+/// Builder of the page's images from frames that are pushed one by one.
 pub struct PictureMaker {
     path: PathBuf,
     of_film: BTreeSet<FrameId>,
@@ -70,15 +70,15 @@ impl PictureMaker {
         }
     }
 
-    /// Frames that are to be pushed.
+    /// Frames to be pushed.
     pub fn wanted(&self) -> BTreeSet<FrameId> {
         self.of_film.union(&self.of_strip).copied().collect()
     }
 
-    /// Takes the next frame.
+    /// Adds the next frame.
     ///
     /// # Errors
-    /// [`ReportError::Picture`] if the picture is empty, [`ReportError::Film`] if the film cannot be written.
+    /// [`ReportError::Picture`] if the image is empty, [`ReportError::Film`] if the film cannot be written.
     pub fn push(&mut self, frame: FrameId, picture: &RgbImage, masks: &[(ObjectId, &Mask)]) -> Result<(), ReportError> {
         let silhouettes = Silhouette::of_all(masks);
         if self.of_strip.contains(&frame) {
@@ -90,7 +90,7 @@ impl PictureMaker {
         if self.of_film.contains(&frame) && self.film.is_some() {
             // Longer side of the film, pixels.
             match self.add_to_film(frame, shrunk(picture, 640)?, &silhouettes) {
-                // Without such an encoder the page has the strip.
+                // Without such an encoder the page has only the strip.
                 Err(FfmpegError::NoEncoder | FfmpegError::Encoder(_)) => self.film = None,
                 Err(source) => return Err(ReportError::Film(source)),
                 Ok(()) => {}
@@ -119,7 +119,7 @@ impl PictureMaker {
         Ok(())
     }
 
-    /// Keeps the part of a picture that a mask shows, if it shows more of the vehicle than those before.
+    /// Keeps the masked part of an image, if its bounding box is larger than the vehicle's previous ones.
     fn keep_portrait(&mut self, picture: &RgbImage, silhouette: &Silhouette) -> Result<(), ReportError> {
         let Silhouette { id, bounds: found, .. } = *silhouette;
         let area = u64::from(found.x1 - found.x0) * u64::from(found.y1 - found.y0);
@@ -133,7 +133,7 @@ impl PictureMaker {
         Ok(())
     }
 
-    /// The pictures.
+    /// The images.
     ///
     /// # Errors
     /// [`ReportError::Film`] if the film cannot be written or read again.
@@ -155,7 +155,7 @@ impl PictureMaker {
     }
 }
 
-/// A picture in the middle of a black one of the given size, as large as fits.
+/// An image scaled to fit and centered in a black one of the given size.
 fn fitted(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
     let (own_width, own_height) = picture.dimensions();
     let scale = (f64::from(width) / f64::from(own_width)).min(f64::from(height) / f64::from(own_height));
@@ -167,7 +167,7 @@ fn fitted(picture: &RgbImage, (width, height): (u32, u32)) -> RgbImage {
     out
 }
 
-/// A box and some of what is around it.
+/// A box with a margin.
 fn with_border(found: BoundingBox, (width, height): (u32, u32)) -> BoundingBox {
     let longer = (found.x1 - found.x0).max(found.y1 - found.y0);
     // Border around the mask in a portrait, as a share of the mask's longer side.
@@ -202,7 +202,7 @@ mod tests {
         assert_eq!(made.strip.len(), 16);
         let portrait = image::load_from_memory(&made.portraits[&ObjectId(3)]).unwrap();
         assert_eq!((portrait.width(), portrait.height()), (92, 90), "78 px, and a border of 12 px within the picture");
-        // FFmpeg without H.264 makes none.
+        // FFmpeg without H.264 produces none.
         if let Some(film) = made.film {
             assert_eq!((film.width, film.height, film.frames.len(), film.labels.len()), (640, 360, 30, 30));
             assert!(film.mp4.len() < 100_000, "{}", film.mp4.len());

@@ -1,4 +1,4 @@
-//! Top views as SVG: one small picture per trajectory, and the whole scene for print and for browsers without WebGL.
+//! Top views as SVG: one thumbnail per trajectory, and the whole scene for print and for browsers without WebGL.
 
 use serde::Serialize;
 
@@ -13,9 +13,9 @@ use nalgebra::{Point3, Vector3};
 const SCENE_ZOOM: f64 = 10.0;
 /// Longer side of a plan of one path, in its own units: coordinates have one decimal.
 const PATH_SIDE: f64 = 1000.0;
-/// Least longer side of a box; a vehicle that stands has none.
+/// Minimum longer side of a box; a stationary vehicle's path has no extent.
 const LEAST_SIDE: f64 = 1e-4;
-/// Length of the head of an arrow, as a share of the plan's shorter side.
+/// Length of an arrowhead, as a share of the plan's shorter side.
 const ARROW: f64 = 0.05;
 
 /// A top view: x right, y down (towards the viewer).
@@ -27,7 +27,7 @@ pub(super) struct Plan {
     camera: String,
     paths: Vec<PlanPath>,
     bar: ScaleBar,
-    /// An arrow to the north, where that is known.
+    /// North arrow, where north is known.
     north: Option<String>,
 }
 
@@ -41,9 +41,9 @@ struct PlanPath {
     path: String,
     start: [f64; 2],
     end: [f64; 2],
-    /// Head of an arrow at the end, in the direction of travel.
+    /// Arrowhead at the end, in the direction of travel.
     arrow: String,
-    /// Rectangle of a vehicle that does not move; empty of others.
+    /// Rectangle of a stationary vehicle; empty for others.
     footprint: String,
 }
 
@@ -54,25 +54,25 @@ struct ScaleBar {
     label: String,
 }
 
-/// The view from above, as large as a plan shows it.
+/// The top view with the extent of a plan.
 #[derive(Clone, Copy, Debug)]
 struct Paper<'a> {
     view: &'a View,
     turn: Turn,
     ruler: Ruler,
-    /// Where metres are known.
+    /// The metric frame, where known.
     frame: Option<&'a MetricFrame>,
     /// Position of the plan's origin, in the rotated view.
     origin: [f64; 2],
     zoom: f64,
 }
 
-/// Rotation of the plan against the view: up the page points the first of the two, x and z of a unit vector.
+/// Rotation of the plan against the view: the direction that points up the page, x and z of a unit vector.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Turn([f64; 2]);
 
 impl Turn {
-    /// As the view is.
+    /// The orientation of the view.
     const NONE: Self = Self([0.0, -1.0]);
 
     /// The metric frame's second axis, which is north where that is known, points up the page.
@@ -109,7 +109,7 @@ impl Plan {
         all.extend(data.objects.iter().flat_map(|o| paper.positions(o)));
         let ground_tracks = || data.objects.iter().filter_map(|o| o.ground_track);
         all.extend(ground_tracks().flat_map(|track| paper.contacts(track)));
-        // A trajectory of undetermined scale may lie anywhere; the plan keeps to the scene.
+        // A trajectory of undetermined scale may be anywhere; the plan's extent follows the scene.
         all.retain(|p| p.iter().all(|v| v.abs() < 30.0 * SCENE_ZOOM));
         let view_box = frame(&all, &[], padding, 0.45);
         let arrow = ARROW * view_box[2].min(view_box[3]);
@@ -126,14 +126,14 @@ impl Plan {
         }
     }
 
-    /// One object's path alone; `None` without a trajectory.
+    /// The plan of one object's path; `None` without a trajectory.
     pub fn object(data: &Data, object: &Object, view: &View) -> Option<Self> {
         let paper = Paper::new(data, view);
         let paper = paper.around(&paper.positions(object));
         Some(paper.alone(data, paper.path(object, ARROW * PATH_SIDE)?, &paper.positions(object)))
     }
 
-    /// One ground track alone; `None` without positions that can be drawn.
+    /// The plan of one ground track; `None` without drawable positions.
     pub fn ground_track(data: &Data, track: &GroundTrack, view: &View) -> Option<Self> {
         let paper = Paper::new(data, view);
         let all = |paper: &Paper| [paper.contacts(track), paper.footprint(track).unwrap_or_default()].concat();
@@ -154,7 +154,7 @@ impl<'a> Paper<'a> {
         [(x - self.origin[0]) * self.zoom, (y - self.origin[1]) * self.zoom]
     }
 
-    /// The same view, moved and enlarged to show some places of it.
+    /// The same view, moved and enlarged to contain some positions.
     fn around(&self, positions: &[[f64; 2]]) -> Self {
         let [x, y, width, height] = frame(positions, &[], 0.0, 0.0);
         let origin = [x + width / 2.0, y + height / 2.0];
@@ -178,7 +178,7 @@ impl<'a> Paper<'a> {
         Some(PlanPath { ground: true, footprint, ..Self::line(track.id, &self.contacts(track), arrow)? })
     }
 
-    /// Corners of a vehicle at rest, around the median of its positions.
+    /// Corners of a stationary vehicle, around the median of its positions.
     fn footprint(&self, track: &GroundTrack) -> Option<Vec<[f64; 2]>> {
         let corners = track.footprint(self.frame?)?.map(|corner| self.place(corner));
         corners.iter().all(drawable).then(|| corners.to_vec())
@@ -223,8 +223,8 @@ impl<'a> Paper<'a> {
     }
 }
 
-/// Head of an arrow at the end of a path: two strokes of a length, back along the last stretch of that length; empty
-/// for a path that is shorter.
+/// Arrowhead at the end of a path: two strokes of a length, back along the last segment of that length; empty for a
+/// shorter path.
 fn arrow_head(positions: &[[f64; 2]], length: f64) -> String {
     let Some(&[x, y]) = positions.last() else { return String::new() };
     let from = positions.iter().rev().find(|[a, b]| (x - a).hypot(y - b) >= length);
@@ -235,7 +235,7 @@ fn arrow_head(positions: &[[f64; 2]], length: f64) -> String {
     format!("M{}L{x:.1} {y:.1}L{}", stroke(0.45), stroke(-0.45))
 }
 
-/// An arrow up the page with an N below it, in the upper right corner; `None` where north is not known.
+/// North arrow with an N below it, in the upper right corner; `None` where north is unknown.
 fn north(data: &Data, [x, y, width, height]: [f64; 4]) -> Option<String> {
     data.metric.and_then(metric_frame).filter(|frame| frame.axes == MetricAxes::EastNorthUp)?;
     let size = 0.09 * width.min(height);
@@ -268,8 +268,8 @@ fn polyline(points: &[[f64; 2]]) -> String {
     usable.enumerate().map(|(i, [x, y])| format!("{}{x:.1} {y:.1}", if i == 0 { "M" } else { "L" })).collect()
 }
 
-/// A box round nearly all points and every one of `ends`, padded by a share of its longer side, at least `aspect` times
-/// as high as wide and the other way round.
+/// A box around nearly all points and all `ends`, padded by a share of its longer side. Neither side is shorter than
+/// `aspect` times the other.
 fn frame(points: &[[f64; 2]], ends: &[[f64; 2]], padding: f64, aspect: f64) -> [f64; 4] {
     let range = |k: usize| {
         let mut values: Vec<_> = points.iter().map(|p| p[k]).filter(|v| v.is_finite()).collect();
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_at_rest_is_a_rectangle_of_its_size() {
+    fn stationary_vehicle_is_a_rectangle_of_its_size() {
         let world = testing::World::with_vehicle_at_rest();
         let data = world.data();
         let view = View::new(&data).unwrap();
@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_standing_vehicle_has_a_plan_too() {
+    fn stationary_vehicle_has_a_plan() {
         let mut world = testing::world();
         let view = View::new(&world.data()).unwrap();
         let first = world.trajectory.poses[0].position;

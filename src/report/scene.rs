@@ -15,15 +15,15 @@ use super::view::{RADIUS, View, rounded};
 use crate::math::is_finite;
 use crate::scene::{Estimate, Frame, FrameId, GroundPosition, GroundTrack, Image, Point3d, Point3dId, Reconstruction};
 
-/// Background points shown: 12 characters each in the page.
+/// Maximum number of background points shown: 12 characters each in the page.
 pub(super) const MAX_POINTS: usize = 60_000;
-/// Frames the time slider can stop at, and cameras shown of each reconstruction.
+/// Maximum number of stops of the time slider, and of cameras shown per reconstruction.
 pub(super) const MAX_FRAMES: usize = 1_500;
 
 /// Input of `view3d.js`.
 #[derive(Debug, Serialize)]
 pub(super) struct Scene {
-    /// Length in the view of what lengths are reported in: a metre, or a unit of the background.
+    /// Length of the reported unit in the view: a meter, or a unit of the background.
     scale: f64,
     /// Rows of the matrix that turns x and z of the view into the plan's.
     turn: [[f64; 2]; 2],
@@ -41,9 +41,9 @@ pub(super) struct Scene {
 struct SceneFrame {
     frame: u32,
     time: f64,
-    /// Camera centre and `view_from_cam` as w x y z; absent where the camera is unknown.
+    /// Camera center and `view_from_cam` as w x y z; absent where the camera is unknown.
     camera: Option<[f64; 7]>,
-    /// As that of the scene, where this frame has other intrinsics.
+    /// Overrides the scene's value where this frame has other intrinsics.
     #[serde(skip_serializing_if = "Option::is_none")]
     tangent: Option<[f64; 2]>,
 }
@@ -51,7 +51,7 @@ struct SceneFrame {
 /// Packed points.
 #[derive(Debug, Serialize)]
 pub(super) struct Cloud {
-    /// Points in the model, points in this cloud, points beyond its reach.
+    /// Numbers of points in the model, in this cloud, and beyond its reach.
     pub total: usize,
     pub count: usize,
     pub beyond: usize,
@@ -62,7 +62,7 @@ pub(super) struct Cloud {
     colours: String,
 }
 
-/// Index in `frames`; position; `view_from_object` as scale, w x y z, translation; what is known of its motion.
+/// Index in `frames`; position; `view_from_object` as scale, w x y z, translation; description of its motion.
 type ScenePose = (usize, [f64; 3], [f64; 8], Option<String>);
 
 /// A vehicle in the 3D view.
@@ -136,12 +136,12 @@ impl Scene {
     }
 }
 
-/// Of the first image.
+/// Image plane of the first image.
 fn tangent(background: &Reconstruction) -> [f64; 2] {
     background.images.values().next().map_or(USUAL_TANGENT, |image| tangent_of(background, image))
 }
 
-/// Where no camera is known: a field of view of 53° by 33°.
+/// Default without a known camera: a field of view of 53° by 33°.
 const USUAL_TANGENT: [f64; 2] = [0.5, 0.3];
 
 fn tangent_of(background: &Reconstruction, image: &Image) -> [f64; 2] {
@@ -186,11 +186,11 @@ pub(super) fn cloud(model: &Reconstruction, ground: &[Point3dId], limit: usize, 
     }
 }
 
-/// At most `limit` points, chosen by a hash of their ids: even over the scene, and the same in every run.
+/// At most `limit` points, chosen by a hash of their ids: evenly over the scene, and reproducibly.
 fn sample<'a>(points: &[(Point3dId, &'a Point3d)], limit: usize) -> Vec<(Point3dId, &'a Point3d)> {
     let mut all = points.to_vec();
     if all.len() > limit {
-        // SplitMix64's finaliser.
+        // SplitMix64's finalizer.
         let key = |id: Point3dId| {
             let z = id.0.wrapping_mul(0x9e37_79b9_7f4a_7c15);
             let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -276,8 +276,8 @@ fn ground_track(data: &Data, view: &View, object: &Object, name: &str, chosen: &
     })
 }
 
-/// Length, height and width of the box that a ground track is shown as, and its rotation at each position: by its
-/// heading, where it is known, of a position before or after, or by its axis.
+/// Length, height and width of the box of a ground track, and its rotation at each position: by the track's axis, else
+/// by the heading there, where it is known, else by that of an earlier or later position.
 fn ground_box(data: &Data, view: &View, track: &GroundTrack) -> Option<([f64; 3], Vec<UnitQuaternion<f64>>)> {
     let (frame, size) = (data.metric.and_then(metres::frame)?, track.dimensions?);
     let in_view = |size: Estimate| size.value / frame.scale * view.view_from_world.scale;
@@ -308,7 +308,7 @@ mod tests {
     }
 
     #[test]
-    fn the_scene_stands_upright_and_far_points_do_not_shrink_it() {
+    fn scene_is_upright_and_far_points_do_not_shrink_it() {
         let mut world = testing::world();
         let before = View::new(&world.data()).unwrap();
         let far_before = scene(&world, &before).points.beyond;
@@ -331,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_vehicle_at_rest_is_a_box_along_its_axis() {
+    fn stationary_vehicle_is_a_box_along_its_axis() {
         let world = testing::World::with_vehicle_at_rest();
         let (data, track) = (world.data(), world.ground_track.as_ref().unwrap());
         let view = View::new(&data).unwrap();
@@ -349,7 +349,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_finite_is_left_out() {
+    fn nonfinite_values_are_skipped() {
         let mut world = testing::world();
         let view = View::new(&world.data()).unwrap();
         let far_before = cloud(&world.background, &[], MAX_POINTS, &view).beyond;

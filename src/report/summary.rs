@@ -1,17 +1,17 @@
-//! The one sentence that says what was found, and how sure it is.
+//! Summary sentence of the results and their uncertainty.
 
 use super::data::{Data, Object};
 use super::verdict::{Verdict, relative_std};
 use super::words::{capitalised, count, name, percent, thousands, with_unit};
 
-/// The sentence.
+/// The summary sentence.
 pub(super) fn sentence(data: &Data) -> String {
     let frames = data.frames.len();
     let registered = data.background.reconstruction.images.len();
     if registered == 0 {
         return format!("Nothing reconstructed: the camera path was not found in {}.", count(frames, "frame"));
     }
-    // Before a camera that does not translate points have no depth.
+    // Without translation of the camera points have no depth.
     let camera = match data.background.reconstruction.points.is_empty() {
         true => "the camera's viewing direction",
         false => "the camera path",
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn the_sentence_names_the_vehicles_and_says_how_sure_each_is() {
+    fn sentence_names_the_vehicles_and_their_uncertainty() {
         let mut world = testing::world();
         world.trajectory.scale.std = Some(0.02 * world.trajectory.scale.ratio);
         assert!(

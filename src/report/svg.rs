@@ -14,7 +14,7 @@ pub(super) type Area<'a> = DrawingArea<SVGBackend<'a>, Shift>;
 pub(super) type Plot<'a> = DrawingArea<SVGBackend<'a>, Cartesian2d<RangedCoordf64, RangedCoordf64>>;
 pub(super) type DrawResult = Result<(), Box<dyn std::error::Error>>;
 
-/// A file of a size in pixels, drawn by `draw`.
+/// An SVG file of a size in pixels, drawn by `draw`.
 ///
 /// # Errors
 /// [`ReportError::Chart`] if the chart cannot be laid out.
@@ -32,7 +32,7 @@ pub(super) fn drawn(size: (u32, u32), draw: impl FnOnce(&Area<'_>) -> DrawResult
     Ok(svg)
 }
 
-/// Text without control characters, most of which XML cannot have: names come from other people's files.
+/// Text without control characters, most of which XML forbids: names come from users' files.
 pub(super) fn text(name: &str) -> String {
     name.replace(char::is_control, " ")
 }

@@ -1,4 +1,4 @@
-//! Something to report on.
+//! Sample data for tests of the reports.
 
 use std::collections::BTreeMap;
 
@@ -11,7 +11,7 @@ use crate::scene::{
 pub(super) use crate::synthetic::showcase::UP;
 use crate::synthetic::showcase::{CAR, showcase};
 
-/// The showcase's car, to be changed by tests.
+/// The showcase's car, which tests modify.
 pub(super) struct World {
     pub title: String,
     pub class: String,
@@ -49,12 +49,12 @@ pub(super) fn world() -> World {
 }
 
 impl World {
-    /// The same where metres are known.
+    /// The same with a metric scale.
     pub fn in_metres() -> Self {
         Self { metric: Some(showcase(60, 1).metric), ..world() }
     }
 
-    /// The same with a ground track of a vehicle at rest, 4 m long and 2 m wide, that points 30° to the right of the
+    /// The same with a ground track of a stationary vehicle, 4 m long and 2 m wide, that points 30° to the right of the
     /// frame's second axis.
     pub fn with_vehicle_at_rest() -> Self {
         let mut world = Self::in_metres();

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-/// A tick: its place in per cent and its label.
+/// A tick: its position in per cent and its label.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub(super) struct Tick {
     pub at: f64,
@@ -19,7 +19,7 @@ pub(super) fn whole_ticks(range: (f64, f64)) -> Vec<Tick> {
     ticks_apart(range, 1.0).0
 }
 
-/// Ticks at least so far apart.
+/// Ticks with a minimum spacing.
 fn ticks_apart((low, high): (f64, f64), least: f64) -> (Vec<Tick>, usize) {
     let span = high - low;
     if !(span > 0.0) || !span.is_finite() {

@@ -1,16 +1,16 @@
-//! The moments of a run, and how they are reported: in seconds where the input has times, else in frames.
+//! Times of a run and their display: in seconds where the input has times, else in frames.
 
 use super::data::{Data, Fact};
 use super::ticks::{Tick, ticks, whole_ticks};
 use super::words::count;
 use crate::scene::{FrameId, TimeBase};
 
-/// When each frame is.
+/// Times of all frames.
 #[derive(Clone, Debug)]
 pub(super) struct Timeline {
     pub base: TimeBase,
     ids: Vec<FrameId>,
-    /// Of the frames and of the end of the last one, each above the one before.
+    /// Times of the frames and of the end of the last one, strictly ascending.
     times: Vec<f64>,
 }
 
@@ -25,19 +25,19 @@ impl Timeline {
         Self { base, ids: data.frames.iter().map(|f| f.id).collect(), times }
     }
 
-    /// Of so many frames without a rate.
+    /// The timeline of `num_frames` frames without a rate.
     #[cfg(test)]
     pub fn of_frames(num_frames: u32) -> Self {
         let times = rising((0..num_frames).map(f64::from));
         Self { base: TimeBase::Frames, ids: (0..num_frames).map(FrameId).collect(), times }
     }
 
-    /// The moment of a frame; `None` if it is no frame of the run.
+    /// The time of a frame; `None` if it is no frame of the run.
     pub fn of(&self, frame: FrameId) -> Option<f64> {
         self.ids.binary_search(&frame).ok().map(|i| self.times[i])
     }
 
-    /// One moment per frame and the end of the last one.
+    /// One time per frame, and the end of the last one.
     pub fn times(&self) -> &[f64] {
         &self.times
     }
@@ -47,7 +47,7 @@ impl Timeline {
         (self.times[0], self.times[self.times.len() - 1])
     }
 
-    /// Where a frame stands in time: "3.60 s", "frame 36".
+    /// Label of a frame's time: "3.60 s", "frame 36".
     pub fn stamp(&self, frame: FrameId) -> String {
         match (self.base, self.of(frame)) {
             (TimeBase::Seconds, Some(time)) => format!("{time:.2} s"),
@@ -55,7 +55,7 @@ impl Timeline {
         }
     }
 
-    /// From one frame to another: "0.40 s to 3.60 s", "frames 4 to 36".
+    /// Label of a range of frames: "0.40 s to 3.60 s", "frames 4 to 36".
     pub fn range(&self, first: FrameId, last: FrameId) -> String {
         match self.base {
             TimeBase::Seconds => format!("{} to {}", self.stamp(first), self.stamp(last)),
@@ -63,7 +63,7 @@ impl Timeline {
         }
     }
 
-    /// From the frame at one place in the list to that at another.
+    /// Label of the range between two indices of the list.
     pub fn range_at(&self, first: usize, last: usize) -> String {
         self.range(self.ids[first], self.ids[last])
     }
@@ -82,7 +82,7 @@ impl Timeline {
     pub fn ticks(&self) -> Vec<Tick> {
         match self.base {
             TimeBase::Seconds => labelled(ticks(self.span()).0, |_, label| format!("{label} s")),
-            // The first tick says what the others count.
+            // The first tick names the unit of the others.
             TimeBase::Frames => labelled(whole_ticks(self.span()), |k, label| match k {
                 0 => format!("frame {label}"),
                 _ => label,
@@ -103,13 +103,14 @@ fn labelled(ticks: Vec<Tick>, label: impl Fn(usize, String) -> String) -> Vec<Ti
     ticks.into_iter().enumerate().map(|(k, tick)| Tick { at: tick.at, label: label(k, tick.label) }).collect()
 }
 
-/// The times, where one that is no number or does not rise follows the one before, and the end of the last frame.
+/// Strictly ascending times, followed by the end of the last frame. A time that is not finite or does not ascend is
+/// replaced by one shortly after its predecessor.
 fn rising(given: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut times: Vec<f64> = Vec::new();
     for time in given {
         let next = match times.last() {
             Some(&last) if time.is_finite() && time > last => time,
-            // Each has a place of its own.
+            // Each has a distinct time.
             Some(&last) => last + 1e-3,
             None if time.is_finite() => time,
             None => 0.0,

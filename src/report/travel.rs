@@ -5,7 +5,7 @@ use super::words::LENGTH_UNIT;
 use crate::math::rounding::{to_std, with_std};
 use crate::scene::{Estimate, GroundTrack, ObjectTrajectory, TimeBase, Travel};
 
-/// Kilometres per hour in a metre per second.
+/// Kilometers per hour in a meter per second.
 pub(super) const KM_H: f64 = 3.6;
 
 /// The figures of a trajectory's [`Travel`], each with its unit; nothing for fewer than four positions.
@@ -17,7 +17,7 @@ pub fn travel_facts(trajectory: &ObjectTrajectory, times: TimeBase) -> Vec<Fact>
     figures(travel, seconds, times, |of, unit| estimate(trajectory.is_ruled_out(), of, unit))
 }
 
-/// The same of a ground track.
+/// The figures of a ground track's travel.
 pub fn ground_track_facts(track: &GroundTrack, times: TimeBase) -> Vec<Fact> {
     let Some(travel) = &track.travel else { return Vec::new() };
     let seconds = track.positions.first().zip(track.positions.last()).map_or(0.0, |(a, b)| b.time_s - a.time_s);

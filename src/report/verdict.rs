@@ -16,7 +16,7 @@ pub enum Verdict {
     Fair,
     /// Evidence against it, or a weakly determined scale.
     Doubtful,
-    /// Ruled out, or of undetermined scale.
+    /// Rejected by evidence, or of undetermined scale.
     Rejected,
     /// No verdict in the result.
     Unjudged,
@@ -25,10 +25,10 @@ pub enum Verdict {
 }
 
 impl Verdict {
-    /// All of them, the best first.
+    /// All verdicts, the best first.
     pub const ALL: [Self; 6] = [Self::Good, Self::Fair, Self::Doubtful, Self::Rejected, Self::Unjudged, Self::Missing];
 
-    /// Of an object's trajectory; `None` where it has none.
+    /// Verdict on an object's trajectory, `None` if it is missing.
     pub fn of(trajectory: Option<&ObjectTrajectory>) -> Self {
         let Some(trajectory) = trajectory else { return Self::Missing };
         match trajectory.verdict.as_ref().map(|verdict| verdict.state) {
@@ -52,7 +52,7 @@ impl Verdict {
         }
     }
 
-    /// The meaning for the trajectory of which it is, in a sentence.
+    /// The meaning for the judged trajectory, in a sentence.
     pub fn sentence(self, trajectory: Option<&ObjectTrajectory>) -> String {
         let std = trajectory.and_then(|trajectory| relative_std(&trajectory.scale));
         let first = trajectory.and_then(|trajectory| trajectory.verdict.as_ref()?.complaints().next());
@@ -96,7 +96,7 @@ impl Verdict {
     }
 }
 
-/// A reason as readers see it.
+/// A reason as displayed to readers.
 pub(super) fn said(reason: &Reason) -> String {
     plain(&reason.says)
 }
@@ -117,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn every_verdict_is_said_with_its_figure() {
+    fn every_verdict_is_explained_with_its_figure() {
         let weak = || Reason::doubts(ReasonKind::Deviation, 1.0, "size and distance");
         let size = || Reason::refutes(ReasonKind::Size, "a tenth as large as the others");
         let scale = testing::world().trajectory.scale;

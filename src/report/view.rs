@@ -1,7 +1,7 @@
-//! The frame of the 3D view: the scene turned upright, moved to the middle, brought to one size.
+//! The frame of the 3D view: the scene rotated upright, centered and normalized in size.
 //!
-//! The view's frame is y up, x along the main direction of the drive, z towards the viewer; its origin is the middle of
-//! what matters (camera path and trajectories) and their radius is [`RADIUS`]. All bounds are quantiles, so that a few
+//! The view's frame is y up, x along the main direction of the drive, z towards the viewer; its origin is the center
+//! of the camera path and the trajectories, and their radius is [`RADIUS`]. All bounds are quantiles, so that a few
 //! points or one lost camera far away do not shrink the scene.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
@@ -13,23 +13,23 @@ use crate::scene::{Point3d, Reconstruction};
 
 /// Radius of camera path and trajectories in the view's frame.
 pub(super) const RADIUS: f64 = 10.0;
-/// The shown volume reaches at most this many radii from the middle.
+/// Maximum extent of the shown volume from the center, in radii.
 pub(super) const MAX_REACH: f64 = 40.0;
 
-/// The transform into the view's frame, and what was measured on the way.
+/// The transform into the view's frame, with the measured extents.
 #[derive(Clone, Debug)]
 pub(super) struct View {
     pub view_from_world: Sim3,
-    /// Points beyond this distance from the middle are not shown.
+    /// Maximum distance of shown points from the center.
     pub reach: f64,
     /// Height of the ground in the view's frame.
     pub ground: f64,
-    /// Where "up" came from, for the reader.
+    /// Source of the upward direction, for the reader.
     pub up_source: &'static str,
 }
 
 impl View {
-    /// Of a run's data; `None` if nothing was reconstructed.
+    /// The view of a run's data; `None` if nothing was reconstructed.
     pub fn new(data: &Data) -> Option<Self> {
         let background = data.background.reconstruction;
         let centers = centers(background)?;
@@ -37,7 +37,7 @@ impl View {
         Some(Self { ground: ground_height(data, &view.view_from_world), ..view })
     }
 
-    /// Of a reconstruction of which no more is known; `None` if nothing is registered.
+    /// The view of a bare reconstruction; `None` if nothing is registered.
     pub fn of_model(model: &Reconstruction) -> Option<Self> {
         let centers = centers(model)?;
         let up = (mean_camera_up(model), "mean upward axis of the cameras");
@@ -45,9 +45,9 @@ impl View {
         Some(Self { ground: low_height(model, &view.view_from_world), ..view })
     }
 
-    /// * `focus` – what the first look should hold.
-    /// * `up` – unit vector away from the ground, and where it came from.
-    /// * `place` – of a camera.
+    /// * `focus` – points that the initial view contains.
+    /// * `up` – unit vector away from the ground, and its source.
+    /// * `place` – a camera's position.
     fn around(
         background: &Reconstruction,
         focus: &[Point3<f64>],
@@ -60,7 +60,7 @@ impl View {
         let turned: Vec<_> = focus.iter().map(|p| rotation * p).collect();
         let (middle, mut radius) = bounds(&turned);
         if !(radius > 0.0) {
-            // A still camera and no trajectory: what it looks at gives the size.
+            // A stationary camera and no trajectory: the observed points give the size.
             let distances = background.points.values().map(|p| (p.position - place).norm());
             radius = quantile(&mut distances.filter(|d| d.is_finite()).collect::<Vec<_>>(), 0.5).max(1e-9);
         }
@@ -82,13 +82,13 @@ impl View {
     }
 }
 
-/// The places of the cameras; `None` without any.
+/// The positions of the cameras; `None` without any.
 fn centers(model: &Reconstruction) -> Option<Vec<Point3<f64>>> {
     let centers: Vec<_> = model.images.values().map(|i| i.cam_from_world.center()).filter(is_finite).collect();
     (!centers.is_empty()).then_some(centers)
 }
 
-/// Points that the first view contains: camera centers and the trajectories that are trusted (all, if none is).
+/// Points that the initial view contains: camera centers and trusted trajectories (all, if none is).
 fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
     let positions = |object: &Object| -> Vec<Point3<f64>> {
         object.trajectory.iter().flat_map(|t| &t.poses).map(|p| Point3::from(p.position)).filter(is_finite).collect()
@@ -104,7 +104,7 @@ fn focus(data: &Data, centers: &[Point3<f64>]) -> Vec<Point3<f64>> {
     moving
 }
 
-/// Unit vector away from the ground, and where it came from.
+/// Unit vector away from the ground, and its source.
 fn up(data: &Data) -> (Vector3<f64>, &'static str) {
     let background = data.background.reconstruction;
     if let Some(ground) = data.ground {
@@ -132,7 +132,7 @@ fn mean_camera_up(background: &Reconstruction) -> Vector3<f64> {
     sum.try_normalize(1e-9).unwrap_or_else(|| -Vector3::y())
 }
 
-/// Direction of least spread of a set of points; `None` for fewer than ten.
+/// Direction of least variance of a set of points; `None` for fewer than ten.
 fn plane_normal(points: &[&Point3d]) -> Option<Vector3<f64>> {
     let positions: Vec<_> = points.iter().map(|p| p.position).filter(is_finite).collect();
     if positions.len() < 10 {
@@ -163,7 +163,7 @@ fn upright(up: Vector3<f64>, focus: &[Point3<f64>], forward: Vector3<f64>) -> Un
     UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(rows))
 }
 
-/// Middle and radius of the box between the 2nd and the 98th percentile of each coordinate.
+/// Center and radius of the box between the 2nd and the 98th percentile of each coordinate.
 fn bounds(points: &[Point3<f64>]) -> (Point3<f64>, f64) {
     let mut middle = Point3::origin();
     let mut half = Vector3::zeros();
@@ -181,14 +181,14 @@ pub(super) fn quantile(values: &mut [f64], q: f64) -> f64 {
     math::quantile(values, q).unwrap_or(0.0)
 }
 
-/// Radius of the shown volume: most of the points, without those at the horizon.
+/// Radius of the shown volume: it contains most of the points, without those at the horizon.
 fn reach(background: &Reconstruction, view_from_world: &Sim3) -> f64 {
     let distances = background.points.values().map(|p| (*view_from_world * p.position).coords.norm());
     let most = quantile(&mut distances.filter(|d| d.is_finite()).collect::<Vec<_>>(), 0.95);
     (1.3 * most).clamp(3.0 * RADIUS, MAX_REACH * RADIUS)
 }
 
-/// Median height of what is known to be ground, else the 10th percentile of all points.
+/// Median height of the known ground, else the 10th percentile of all points.
 fn ground_height(data: &Data, view_from_world: &Sim3) -> f64 {
     let background = data.background.reconstruction;
     let height = |p: Point3<f64>| (*view_from_world * p).y;
@@ -211,7 +211,7 @@ fn low_height(model: &Reconstruction, view_from_world: &Sim3) -> f64 {
     quantile(&mut all, 0.1)
 }
 
-/// To five decimals: a hundredth of a pixel on any screen.
+/// Rounds to five decimals: a hundredth of a pixel on any screen.
 pub(super) fn rounded(v: f64) -> f64 {
     (v * 1e5).round() / 1e5
 }

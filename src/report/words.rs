@@ -1,9 +1,9 @@
-//! Numbers and names as a reader who is no expert can take them: never an exponent, never NaN.
+//! Numbers and names for readers who are no experts: never an exponent, never NaN.
 
 use super::data::Object;
 pub(super) use crate::math::rounding::{counted as count, percent, significant as figure};
 
-/// Text of a number that does not exist.
+/// Text of a missing number.
 pub(super) const UNKNOWN: &str = "unknown";
 /// The unit of lengths: that of the background reconstruction, whose size is arbitrary.
 pub(super) const LENGTH_UNIT: &str = "units";
@@ -14,7 +14,7 @@ pub(super) fn name(object: &Object) -> String {
     format!("{} {}", capitalised(class), object.id)
 }
 
-/// With a capital letter in front.
+/// Text with a capital first letter.
 pub(super) fn capitalised(text: &str) -> String {
     let mut letters = text.chars();
     letters.next().map_or_else(String::new, |first| first.to_uppercase().chain(letters).collect())
@@ -43,12 +43,12 @@ pub(super) fn round_figure(v: f64) -> String {
     format!("{v:.decimals$}")
 }
 
-/// A number with so many significant digits and its unit.
+/// A number with the given significant digits and its unit.
 pub(super) fn with_unit(v: f64, digits: i32, unit: &str) -> String {
     if v.is_finite() { format!("{} {unit}", figure(v, digits)) } else { UNKNOWN.to_owned() }
 }
 
-/// A sentence from elsewhere, such as a warning, with its numbers made readable.
+/// A sentence, such as a warning, with its numbers made readable.
 pub(super) fn plain(text: &str) -> String {
     text.split(' ').map(plain_word).collect::<Vec<_>>().join(" ")
 }
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_number_is_said_in_words() {
+    fn invalid_numbers_are_replaced_by_words() {
         for v in [f64::NAN, f64::INFINITY, f64::NEG_INFINITY] {
             assert_eq!([figure(v, 2), percent(v), with_unit(v, 3, "m")], ["unknown"; 3]);
         }

@@ -1,9 +1,9 @@
-//! One RANSAC loop, for every model of the program.
+//! Generic RANSAC loop for all models of the program.
 //!
 //! LO-RANSAC (Chum, Matas, Kittler, *Locally Optimized RANSAC*, DAGM 2003) with the truncated quadratic score of MSAC
 //! (Torr, Zisserman, *MLESAC*, CVIU 2000): a model costs `Σ min(e², t²)`. Whenever a sample beats the best model so
-//! far, the model is refined on its inliers, which is where most of the accuracy comes from. The number of samples
-//! adapts to the inlier ratio. Samples are drawn from a seeded generator: the same data and seed give the same answer.
+//! far, the model is refined on its inliers, which provides most of the accuracy. The number of samples adapts to the
+//! inlier ratio. Samples are drawn from a seeded generator: the same data and seed give the same result.
 
 use rand::Rng as _;
 
@@ -31,13 +31,13 @@ pub trait Estimator {
 pub struct Options {
     /// Residual up to which a datum is an inlier, in the unit of the estimator's residual.
     pub max_error: f64,
-    /// Probability with which an all-inlier sample is to have been seen.
+    /// Required probability of having drawn an all-inlier sample.
     pub confidence: f64,
-    /// Samples drawn at least.
+    /// Minimum number of samples.
     pub min_iterations: usize,
-    /// Samples drawn at most.
+    /// Maximum number of samples.
     pub max_iterations: usize,
-    /// Inliers below which a model is of no use: no more samples are drawn than it takes to find one of so many.
+    /// Minimum useful number of inliers: it bounds the number of samples drawn.
     pub least_inliers: usize,
 }
 
@@ -125,7 +125,7 @@ fn locally_optimized<E: Estimator>(
     current
 }
 
-/// Samples after which an all-inlier one was seen with the wanted confidence.
+/// Number of samples after which an all-inlier one was drawn with the required confidence.
 fn needed_iterations(num_inliers: usize, num_data: usize, sample_size: usize, options: &Options) -> usize {
     let all_inliers = (num_inliers as f64 / num_data as f64).powi(sample_size as i32);
     if all_inliers >= 1.0 {

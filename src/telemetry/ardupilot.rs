@@ -1,20 +1,20 @@
 //! ArduPilot's log as text (`mavlogdump.py`, Mission Planner): `FMT` lines name the fields of every message.
 //!
 //! Read: messages `GPS` with `Status` (3 and more is a fix in three dimensions), `GMS` and `GWk` (milliseconds and week
-//! of GPS time), `Lat`, `Lng`, `Alt` (above the sea), `Spd`, `HDop`.
+//! of GPS time), `Lat`, `Lng`, `Alt` (above sea level), `Spd`, `HDop`.
 
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Receiver};
 use super::text::{check_length, number};
 use super::time::DAY_S;
 
-/// Fields in logs that lost their `FMT` line.
+/// Fields of logs without an `FMT` line.
 const FIELDS: &str = "TimeUS,Status,GMS,GWk,NSats,HDop,Lat,Lng,Alt,Spd";
 
 /// GPS time began 3,657 days after 1970, and is ahead of UTC by the 18 leap seconds since (the last one in 2017).
 const GPS_EPOCH_S: f64 = 315_964_800.0 - 18.0;
 
-/// Returns true if a line is one of such a log.
+/// Returns true if a line is an ArduPilot message.
 pub(super) fn is_message(line: &str) -> bool {
     line.starts_with("FMT, ") || (line.starts_with("GPS, ") && line.split(',').count() > 8)
 }
@@ -33,7 +33,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
             Some("GPS") => {
                 let cells: Vec<&str> = cells.collect();
                 match check_length(content).and_then(|()| fix(&fields, &cells, line)) {
-                    Err(reason) => log.pass_over(line, reason),
+                    Err(reason) => log.skip_line(line, reason),
                     Ok(fix) => log.push("ardupilot", fix),
                 }
             }

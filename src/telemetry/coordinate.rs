@@ -1,21 +1,21 @@
-//! Longitude and latitude from text, checked.
+//! Parsing and validation of longitude and latitude.
 
 use super::fix::Position;
 use super::text::{number, resolution, shown};
 
-/// A position from its two numbers as written: decimal degrees, or degrees, minutes and seconds with their signs and a
-/// letter (`48°12'30.5"N`).
+/// Parses a position from two numbers: decimal degrees, or degrees, minutes and seconds with their signs and a letter
+/// (`48°12'30.5"N`).
 ///
 /// # Errors
-/// What is wrong: no number, out of range (with a hint where degrees and minutes were written as one number), or the
-/// (0, 0) that receivers write before they know where they are.
+/// The problem: no number, out of range (with a hint if degrees and minutes were written as one number), or the (0, 0)
+/// that receivers write before the first fix.
 pub(super) fn position(longitude: &str, latitude: &str) -> Result<Position, String> {
     let (longitude_deg, fine) = angle(longitude).ok_or_else(|| not_a_number("longitude", longitude))?;
     let (latitude_deg, also) = angle(latitude).ok_or_else(|| not_a_number("latitude", latitude))?;
     checked(Position { longitude_deg, latitude_deg, resolution_deg: fine.max(also) })
 }
 
-/// A position that can be one.
+/// Validates a position.
 ///
 /// # Errors
 /// As [`position`].
@@ -46,7 +46,7 @@ fn not_a_number(what: &str, text: &str) -> String {
     }
 }
 
-/// An angle in degrees, and what its last digit represents.
+/// Parses an angle in degrees, and the value of its last digit.
 fn angle(text: &str) -> Option<(f64, f64)> {
     let text = text.trim();
     let (text, sign) = match text.chars().last()?.to_ascii_uppercase() {
@@ -62,7 +62,7 @@ fn angle(text: &str) -> Option<(f64, f64)> {
     sexagesimal(&parts).map(|(value, fine)| (sign * value, fine))
 }
 
-/// Degrees of degrees, minutes, seconds.
+/// Degrees from degrees, minutes and seconds.
 fn sexagesimal(parts: &[&str]) -> Option<(f64, f64)> {
     let [degrees, rest @ ..] = parts else { return None };
     let smaller: Vec<f64> = rest.iter().map(|part| number(part)).collect::<Option<_>>()?;
@@ -95,7 +95,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_position_is_said() {
+    fn invalid_positions_are_reported() {
         let said = |longitude, latitude| position(longitude, latitude).unwrap_err();
         assert!(said("0", "0.000").contains("no fix"));
         assert!(said("11.5", "4807.038").contains("degrees and minutes in one number"));

@@ -1,17 +1,17 @@
-//! Why a file gives no telemetry.
+//! Errors of telemetry files.
 
 use std::path::{Path, PathBuf};
 
-/// Telemetry that cannot be read at all. What is wrong with single lines does not stop the reading; it stands in the
-/// [`Log`](super::Log).
+/// Telemetry file without any usable content. Problems of single lines do not stop the reading; they are recorded in
+/// the [`Log`](super::Log).
 #[derive(Debug, thiserror::Error)]
 pub enum TelemetryError {
-    /// The operating system refuses.
+    /// Error of the operating system.
     #[error("{}: cannot be read", path.display())]
     System {
         /// The file or folder.
         path: PathBuf,
-        /// The system's reason.
+        /// Reason given by the system.
         source: std::io::Error,
     },
     /// The file is empty.
@@ -34,7 +34,7 @@ pub enum TelemetryError {
         /// The limit.
         most_mib: u64,
     },
-    /// The file holds more positions than memory does.
+    /// The file has more positions than memory allows.
     #[error(
         "{}: more than {most} positions, the limit by memory; give the part that belongs to the video, or raise \
          --memory-limit",
@@ -46,7 +46,7 @@ pub enum TelemetryError {
         /// Maximum number of positions.
         most: usize,
     },
-    /// No known format.
+    /// Unknown format.
     #[error(
         "{}: neither subtitles of a drone, nor GPX, KML, IGC, NMEA, ArduPilot's text log, a table with longitude and \
          latitude in its header, a photograph with GPS data, nor a video with telemetry; see docs/telemetry.md \
@@ -57,7 +57,7 @@ pub enum TelemetryError {
         /// The file.
         path: PathBuf,
     },
-    /// Another program's format that is not read.
+    /// Unsupported format of another program.
     #[error("{}: {what}, which is not read; {cure}", path.display())]
     Foreign {
         /// The file.
@@ -67,7 +67,7 @@ pub enum TelemetryError {
         /// Command that makes a readable file.
         cure: &'static str,
     },
-    /// The file names other files instead of holding positions.
+    /// The file refers to other files instead of containing positions.
     #[error("{path}: a playlist ({format}), no telemetry; give the video files it names", path = path.display())]
     Playlist {
         /// The file.
@@ -75,14 +75,14 @@ pub enum TelemetryError {
         /// FFmpeg's name of the format.
         format: String,
     },
-    /// The format is known, but no position can be had from it.
+    /// The format is known, but the file has no usable position.
     #[error("{}: {what} without any position{}", path.display(), first_reason(.first.as_deref()))]
     NoFix {
         /// The file.
         path: PathBuf,
         /// The format or dialect.
         what: String,
-        /// Problem of the first line that could have had one.
+        /// Problem of the first line without a usable position.
         first: Option<String>,
     },
     /// The header of a table cannot be used.
@@ -98,7 +98,7 @@ pub enum TelemetryError {
 }
 
 impl TelemetryError {
-    /// For `map_err`: the system refuses to read the path.
+    /// For `map_err`: the system cannot read the path.
     pub(super) fn system(path: &Path) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.to_path_buf();
         move |source| Self::System { path, source }

@@ -1,4 +1,4 @@
-//! The nouns: a fix, a log of fixes, and what a receiver can do.
+//! Telemetry data types: a fix, a log of fixes, and the accuracy of a receiver.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -14,15 +14,15 @@ use crate::memory::MemoryLimit;
 /// One position of the receiver.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Fix {
-    /// Format or dialect in which it is written.
+    /// Format or dialect of the fix.
     pub dialect: &'static str,
-    /// Line of the file where it stands, from 1; of photographs the number of the file, of GPMF that of the payload.
+    /// Line in the file, from 1; for photographs the number of the file, for GPMF the number of the payload.
     pub line: usize,
-    /// File name of the photograph that it belongs to.
+    /// File name of the photograph with this fix.
     pub photograph: Option<String>,
     /// Seconds after the video's start, where the file is tied to a video.
     pub video_s: Option<f64>,
-    /// Seconds after 1970-01-01T00:00:00 on the file's clock, whose kind the [`Log`] says.
+    /// Seconds after 1970-01-01T00:00:00 on the file's clock, whose kind is in the [`Log`].
     pub clock_s: Option<f64>,
     /// East of Greenwich, degrees, −180 to 180.
     pub longitude_deg: f64,
@@ -30,41 +30,41 @@ pub struct Fix {
     pub latitude_deg: f64,
     /// Value of the last digit of longitude and latitude, degrees.
     pub resolution_deg: f64,
-    /// Absolute height, metres; the [`Log`] says above what.
+    /// Absolute height, meters; the [`Log`] states its reference.
     pub gps_height_m: Option<f64>,
-    /// Height above the place of take-off, by air pressure, metres.
+    /// Barometric height above the take-off point, meters.
     pub relative_height_m: Option<f64>,
-    /// Standard deviation of the position in either horizontal direction, metres: stated, else that of the receiver.
+    /// Standard deviation of the position in either horizontal direction, meters: as stated, otherwise the receiver's.
     pub horizontal_std_m: f64,
-    /// Standard deviation of the absolute height, metres.
+    /// Standard deviation of the absolute height, meters.
     pub vertical_std_m: f64,
     /// Attitude of the vehicle that carries the camera.
     pub attitude: Option<Angles>,
     /// Attitude of the camera.
     pub gimbal: Option<Angles>,
-    /// Horizontal speed as the receiver states it, metres per second.
+    /// Horizontal speed stated by the receiver, meters per second.
     pub speed_m_s: Option<f64>,
 }
 
 impl Fix {
-    /// A position of a plain receiver, nothing else known.
+    /// Creates a fix of a plain receiver with a position only.
     pub(super) fn at(line: usize, position: Position) -> Self {
         let (horizontal_std_m, vertical_std_m) = Receiver::Plain.std_m();
         let Position { longitude_deg, latitude_deg, resolution_deg } = position;
         Self { line, longitude_deg, latitude_deg, resolution_deg, horizontal_std_m, vertical_std_m, ..Self::default() }
     }
 
-    /// Takes the deviations of a kind of receiver, widened by its dilution of precision where that is stated.
+    /// Takes the standard deviations of a kind of receiver, scaled by its dilution of precision where that is stated.
     pub(super) fn received_by(mut self, receiver: Receiver, dilution: Option<f64>) -> Self {
         let (horizontal, vertical) = receiver.std_m();
-        // Above 50 there is hardly a fix at all.
+        // A dilution above 50 is hardly a fix at all.
         let factor = dilution.map_or(1.0, |dilution| dilution.clamp(1.0, 50.0));
         (self.horizontal_std_m, self.vertical_std_m) = (horizontal * factor, vertical * factor);
         self
     }
 }
 
-/// Longitude and latitude that were checked.
+/// Validated longitude and latitude.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Position {
     pub(super) longitude_deg: f64,
@@ -73,12 +73,12 @@ pub(super) struct Position {
     pub(super) resolution_deg: f64,
 }
 
-/// Attitude of a body: first turned by yaw, then by pitch, then by roll (DJI's order ZYX), radians.
+/// Attitude of a body, radians: yaw, then pitch, then roll (DJI's order ZYX).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Angles {
     /// Clockwise from north, seen from above.
     pub yaw: f64,
-    /// Nose up; −π/2 looks straight down.
+    /// Nose up; −π/2 points straight down.
     pub pitch: f64,
     /// To the right.
     pub roll: f64,
@@ -90,7 +90,7 @@ impl Angles {
     }
 }
 
-/// A kind of receiver, by how well it knows its place.
+/// Kind of receiver, by its accuracy.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Receiver {
     /// Corrected by a base station, carrier phases resolved.
@@ -99,12 +99,12 @@ pub enum Receiver {
     RtkFloat,
     /// Corrected by satellites (SBAS) or a coarse base station.
     Differential,
-    /// Neither.
+    /// No correction.
     Plain,
 }
 
 impl Receiver {
-    /// Horizontal (either direction) and vertical standard deviation under an open sky, metres. `docs/telemetry.md` has
+    /// Horizontal (either direction) and vertical standard deviation under an open sky, meters. `docs/telemetry.md` has
     /// the sources.
     pub fn std_m(self) -> (f64, f64) {
         match self {
@@ -116,15 +116,15 @@ impl Receiver {
     }
 }
 
-/// Above what absolute heights are counted.
+/// Reference of absolute heights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum HeightDatum {
     /// The ellipsoid of WGS 84.
     Ellipsoid,
-    /// The sea, by a model of the geoid.
+    /// Mean sea level, by a geoid model.
     SeaLevel,
-    /// The file does not say.
+    /// Not stated in the file.
     #[default]
     Unstated,
 }
@@ -139,17 +139,17 @@ pub enum ClockKind {
     Local,
     /// Time of day alone: no date.
     TimeOfDay,
-    /// Nothing.
+    /// No clock.
     #[default]
     Absent,
 }
 
-/// Something in a file that gave no fix.
+/// Entry of a file without a usable fix.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct SkippedEntry {
-    /// Line, from 1; of photographs the number of the file, of GPMF that of the payload.
+    /// Line, from 1; for photographs the number of the file, for GPMF the number of the payload.
     pub line: usize,
-    /// Why.
+    /// Reason.
     pub reason: String,
 }
 
@@ -159,7 +159,7 @@ impl fmt::Display for SkippedEntry {
     }
 }
 
-/// State of the camera at a time of its video, in axes of the image as it is stored: x right, y down, z forward.
+/// Camera state at a video time, in the axes of the stored image: x right, y down, z forward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct CameraSample {
     /// Seconds after the video's start.
@@ -170,59 +170,59 @@ pub struct CameraSample {
     pub image_from_start: Option<UnitQuaternion<f64>>,
 }
 
-/// Content of a file.
+/// Content of a telemetry file.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Log {
-    /// Fixes in order of time; those without any time in order of the file.
+    /// Fixes in order of time; fixes without a time in order of the file.
     pub fixes: Vec<Fix>,
     /// Kind of clock.
     pub clock: ClockKind,
-    /// Above what `gps_height_m` is counted.
+    /// Reference of `gps_height_m`.
     pub height_datum: HeightDatum,
-    /// The first things that were skipped, in order of the file.
+    /// The first skipped entries, in order of the file.
     pub passed_over: Vec<SkippedEntry>,
     /// Number of skipped lines.
     pub num_passed_over: usize,
-    /// Gravity and attitude of the camera, in order of time.
+    /// Gravity and camera attitude, in order of time.
     pub camera: Vec<CameraSample>,
     /// Shortest and longest exposure, seconds.
     pub exposure_s: Option<Range>,
     /// Camera and lens.
     pub lens: Option<Lens>,
-    /// Shortest and longest focal length that would show as much on film, millimeters.
+    /// Shortest and longest 35 mm equivalent focal length, millimeters.
     pub film_focal_mm: Option<Range>,
-    /// Number of fixes that it can hold.
+    /// Maximum number of fixes.
     pub(super) room: Room,
 }
 
-/// Number of fixes that a log holds while it is read.
+/// Maximum number of fixes in a log during reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Room {
     /// Maximum number of fixes.
     pub(super) most: usize,
-    /// True if there were more.
+    /// True if the file had more.
     pub(super) is_exceeded: bool,
 }
 
 impl Default for Room {
     fn default() -> Self {
-        Self { most: MOST_FIXES, is_exceeded: false }
+        Self { most: MAX_FIXES, is_exceeded: false }
     }
 }
 
 impl Room {
-    /// Room for as many fixes as half of a limit holds, twice: they are copied when they are put in order.
+    /// Limits the fixes to a quarter of the memory limit: sorting copies them, so both copies fit into half of it.
     pub(super) fn within(limit: MemoryLimit) -> Self {
         let most = usize::try_from(limit.bytes() / 4).unwrap_or(usize::MAX) / size_of::<Fix>();
-        Self { most: most.min(MOST_FIXES), is_exceeded: false }
+        Self { most: most.min(MAX_FIXES), is_exceeded: false }
     }
 }
 
 /// Ten hours of a drone that writes at 60 Hz.
-const MOST_FIXES: usize = 10 * 3600 * 60;
+const MAX_FIXES: usize = 10 * 3600 * 60;
 
 impl Log {
-    /// Adds a fix, if there is room for it.
+    /// Adds a fix unless the log is full.
     pub(super) fn push(&mut self, dialect: &'static str, fix: Fix) {
         match self.fixes.len() < self.room.most {
             true => self.fixes.push(Fix { dialect, ..fix }),
@@ -230,7 +230,7 @@ impl Log {
         }
     }
 
-    /// Adds a state of the camera, if there is room for it.
+    /// Adds a camera state unless the log is full.
     pub(super) fn push_camera(&mut self, sample: CameraSample) {
         match self.camera.len() < self.room.most {
             true => self.camera.push(sample),
@@ -250,10 +250,10 @@ impl Log {
         self.fixes.iter().any(|fix| fix.dialect.starts_with("dji") || fix.dialect.starts_with("gpmf"))
     }
 
-    /// Notes what gave no fix.
-    pub(super) fn pass_over(&mut self, line: usize, reason: impl Into<String>) {
+    /// Records an entry without a usable fix.
+    pub(super) fn skip_line(&mut self, line: usize, reason: impl Into<String>) {
         self.num_passed_over += 1;
-        // A broken file repeats itself.
+        // A damaged file repeats the same problem.
         if self.passed_over.len() < 100 {
             self.passed_over.push(SkippedEntry { line, reason: reason.into() });
         }

@@ -1,17 +1,17 @@
-//! Logs that other programs convert: recognized, so that the refusal names the program.
+//! Log formats that need a converter: recognized, so that the error names the program.
 
 use super::csv;
 
-/// A format that is not read.
+/// Unsupported format.
 pub(super) struct Foreign {
-    /// Its name in messages.
+    /// Name in messages.
     pub(super) name: &'static str,
-    /// Command that makes a readable file of it.
+    /// Command that converts it to a readable file.
     pub(super) cure: &'static str,
     recognizes: fn(&[u8], &str) -> bool,
 }
 
-/// All of them; a new one is a row.
+/// Table of unsupported formats; a new one is a row.
 const FORMATS: [Foreign; 7] = [
     Foreign {
         name: "a FIT file",
@@ -50,7 +50,7 @@ const FORMATS: [Foreign; 7] = [
     },
 ];
 
-/// The format of a file with this content.
+/// Recognizes an unsupported format by the content of a file.
 pub(super) fn recognize(bytes: &[u8], text: &str) -> Option<&'static Foreign> {
     FORMATS.iter().find(|format| (format.recognizes)(bytes, text))
 }

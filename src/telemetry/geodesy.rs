@@ -1,6 +1,6 @@
-//! Positions on the ellipsoid of WGS 84, and metres east, north and up of a place on it.
+//! Positions on the WGS 84 ellipsoid, and local meters east, north and up.
 //!
-//! The arithmetic is that of the crate `map_3d` (geodetic → earth-centred → local, and back in closed form: R.-J. You,
+//! The arithmetic is that of the crate `map_3d` (geodetic → earth-centerd → local, and back in closed form: R.-J. You,
 //! *Transformation of Cartesian to geodetic coordinates without iterations*, Journal of Surveying Engineering 2000).
 
 use map_3d::{Ellipsoid, enu2geodetic, geodetic2enu};
@@ -9,33 +9,33 @@ use nalgebra::{Point3, UnitQuaternion, Vector2, Vector3, point};
 use crate::math::Sim3;
 use crate::scene::MapOrigin;
 
-/// A place by longitude, latitude and height.
+/// Position by longitude, latitude and height.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Geodetic {
     /// East of Greenwich, degrees.
     pub longitude_deg: f64,
     /// North of the equator, degrees.
     pub latitude_deg: f64,
-    /// Height, metres. It is taken for one above the ellipsoid; whose zero it is makes a difference of parts in a
-    /// hundred thousand to horizontal distances.
+    /// Height, meters. It is used as ellipsoidal height; another vertical datum changes horizontal distances by parts
+    /// in a hundred thousand.
     pub height_m: f64,
 }
 
-/// Axes east, north and up at a place, metres; the place is (0, 0, 0).
+/// Local axes east, north and up, meters; the origin is (0, 0, 0).
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LocalFrame {
-    /// The place, and whether heights are absolute.
+    /// Origin, and true if heights are absolute.
     pub origin: MapOrigin,
 }
 
 impl LocalFrame {
-    /// The frame of a place whose height is absolute.
+    /// Creates the frame at an origin whose height is absolute.
     pub fn at(place: Geodetic) -> Self {
         let Geodetic { longitude_deg: longitude, latitude_deg: latitude, height_m } = place;
         Self { origin: MapOrigin { longitude, latitude, height_m, knows_height: true } }
     }
 
-    /// Metres east, north, up.
+    /// Converts a position to meters east, north, up.
     pub fn from_geodetic(&self, place: Geodetic) -> Point3<f64> {
         let Self { origin } = self;
         let (east, north, up) = geodetic2enu(
@@ -50,7 +50,7 @@ impl LocalFrame {
         point![east, north, up]
     }
 
-    /// Longitude, latitude and height of a point in metres east, north, up.
+    /// Converts a point in meters east, north, up to longitude, latitude and height.
     pub fn to_geodetic(&self, point_in_frame: Point3<f64>) -> Geodetic {
         let Self { origin } = self;
         let (latitude, longitude, height_m) = enu2geodetic(
@@ -66,7 +66,7 @@ impl LocalFrame {
     }
 }
 
-/// Places on the grid of the Universal Transverse Mercator projection, near a place.
+/// Grid of the Universal Transverse Mercator projection, near an origin.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct UtmGrid {
     /// Code of the zone in the EPSG register.
@@ -77,7 +77,7 @@ pub struct UtmGrid {
 }
 
 impl LocalFrame {
-    /// The grid of the zone in which the origin lies.
+    /// Grid of the zone of the origin.
     pub fn utm(&self) -> UtmGrid {
         let MapOrigin { longitude, latitude, height_m, .. } = self.origin;
         let zone = utm::lat_lon_to_zone_number(latitude, longitude);
@@ -85,7 +85,7 @@ impl LocalFrame {
             let (northing, easting, _) = utm::to_utm_wgs84(latitude, longitude, zone);
             Vector2::new(easting, northing)
         };
-        // A kilometer to the north gives turn and scale of the grid.
+        // A kilometer to the north gives the rotation and the scale of the grid.
         const STEP_M: f64 = 1000.0;
         let step = |north| {
             let place = self.to_geodetic(point![0.0, north, 0.0]);
@@ -107,7 +107,7 @@ mod tests {
         Geodetic { longitude_deg, latitude_deg, height_m }
     }
 
-    /// Earth-centred coordinates, from the definition of the ellipsoid.
+    /// Earth-centerd coordinates, from the definition of the ellipsoid.
     fn earth_centered(place: Geodetic) -> Point3<f64> {
         let (a, f): (f64, f64) = (6_378_137.0, 1.0 / 298.257_223_563);
         let e2 = f * (2.0 - f);
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn there_and_back_is_the_same_place() {
+    fn geodetic_positions_round_trip() {
         for latitude in [-89.9, -34.2, 0.0, 0.001, 48.1, 70.0, 89.99] {
             for longitude in [-180.0, -58.85, 0.0, 9.2, 179.999] {
                 let frame = LocalFrame::at(place(longitude, latitude, 450.0));
@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn ten_kilometres_agree_with_the_definition() {
+    fn ten_kilometers_agree_with_the_definition() {
         let origin = place(9.2, 48.1, 450.0);
         let there = place(9.28, 48.17, 520.0);
         let found = LocalFrame::at(origin).from_geodetic(there);
@@ -156,7 +156,7 @@ mod tests {
         assert_eq!((grid.epsg, LocalFrame::at(place(-70.0, -33.0, 0.0)).utm().epsg), (32_632, 32_719));
         let found = grid.grid_from_local * point![0.0, 0.0, 0.0];
         assert!((found - point![456_114.595_9, 5_427_629.203_9, 115.0]).norm() < 0.01, "{found}");
-        // Another place, directly and through the similarity.
+        // Another position, directly and through the similarity.
         for (east, north) in [(800.0, -500.0), (-2000.0, 1500.0)] {
             let there = frame.to_geodetic(point![east, north, 0.0]);
             let (northing, easting, _) = ::utm::to_utm_wgs84(there.latitude_deg, there.longitude_deg, 32);

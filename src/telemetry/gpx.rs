@@ -1,7 +1,7 @@
-//! GPX 1.0 and 1.1: points of tracks, routes and way points (`trkpt`, `rtept`, `wpt`).
+//! GPX 1.0 and 1.1: track points, route points and waypoints (`trkpt`, `rtept`, `wpt`).
 //!
-//! Read: longitude and latitude, `ele` (metres above the sea), `time` (UTC), `fix` (kind of receiver), `hdop`, and
-//! `speed` wherever it stands. A file that breaks off is used as far as it goes.
+//! Read: longitude and latitude, `ele` (meters above sea level), `time` (UTC), `fix` (kind of receiver), `hdop`, and
+//! `speed` anywhere inside a point. A truncated file is read up to its last complete element.
 
 use quick_xml::events::BytesStart;
 
@@ -10,7 +10,7 @@ use super::text::number;
 use super::xml::{self, Element};
 use super::{coordinate, time};
 
-/// A point that is being read.
+/// Partially read point.
 #[derive(Default)]
 struct Open {
     longitude: String,
@@ -35,7 +35,7 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
         _ => {}
     });
     if let Some(open) = open {
-        log.pass_over(open.line, "file truncated inside this point");
+        log.skip_line(open.line, "file truncated inside this point");
     }
     log
 }
@@ -57,7 +57,7 @@ fn begin(tag: &BytesStart, line: usize) -> Open {
     open
 }
 
-/// Takes what an element inside a point says.
+/// Takes the value of an element inside a point.
 fn take(open: &mut Open, name: &str, content: &str) {
     match name {
         "ele" => open.height_m = number(content),
@@ -71,12 +71,12 @@ fn take(open: &mut Open, name: &str, content: &str) {
 
 fn finish(open: Open, log: &mut Log) {
     let receiver = match open.fix.as_str() {
-        "none" => return log.pass_over(open.line, "the receiver had no fix"),
+        "none" => return log.skip_line(open.line, "the receiver had no fix"),
         "dgps" => Receiver::Differential,
         _ => Receiver::Plain,
     };
     match coordinate::position(&open.longitude, &open.latitude) {
-        Err(reason) => log.pass_over(open.line, reason),
+        Err(reason) => log.skip_line(open.line, reason),
         Ok(position) => log.push(
             "gpx",
             Fix {
@@ -104,7 +104,7 @@ mod tests {
         </trkseg></trk>\n</gpx>\n";
 
     #[test]
-    fn points_with_what_stands_in_them() {
+    fn points_have_their_values() {
         let log = log_of(TRACK);
         assert_eq!((log.fixes.len(), log.num_passed_over), (2, 2), "{log:?}");
         let first = &log.fixes[0];
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn half_a_file_is_used_as_far_as_it_goes() {
+    fn a_truncated_file_is_read_up_to_its_end() {
         let log = log_of(&TRACK[..TRACK.find("<trkpt lon").unwrap() + 12]);
         assert_eq!(log.fixes.len(), 1);
         assert_eq!(log.passed_over[0].line, 5, "{:?}", log.passed_over);

@@ -1,15 +1,15 @@
 //! IGC: flight recorders of gliders and paragliders (FAI, *Technical Specification for GNSS Flight Recorders*).
 //!
 //! Read: `HFDTE` (date, UTC) and the fixes, `B` records: `B 110135 5206343N 00006198W A 00587 00558`, with time,
-//! degrees and thousandths of minutes, validity (`A` for three dimensions), height by air pressure and above the
-//! ellipsoid.
+//! degrees and thousandths of minutes, validity (`A` for three dimensions), and the barometric and the ellipsoidal
+//! height.
 
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position};
 use super::text::check_length;
 use super::time::{self, DAY_S};
 
-/// Returns true if a text is such a file: a manufacturer's record, and a date or a fix.
+/// Returns true if a text is an IGC file: a manufacturer's record, and a date or a fix.
 pub(super) fn is_igc(text: &str) -> bool {
     text.starts_with('A') && text.lines().take(100).any(|line| line.starts_with("HFDTE") || fix(line, 0).is_ok())
 }
@@ -23,9 +23,9 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
             midnight_s = date_s(date).or(midnight_s);
         } else if content.starts_with('B') {
             match check_length(content).and_then(|()| fix(content, line)) {
-                Err(reason) => log.pass_over(line, reason),
+                Err(reason) => log.skip_line(line, reason),
                 Ok((of_day_s, fix)) => {
-                    // Half a day back is the next day.
+                    // A step of half a day backwards is the next day.
                     if of_day_s + 0.5 * DAY_S < last_s {
                         midnight_s = midnight_s.map(|midnight_s| midnight_s + DAY_S);
                     }
@@ -39,11 +39,11 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
     log
 }
 
-/// Midnight of `160701` or `DATE:160701,01`, day, month and year.
+/// Midnight of `160701` or `DATE:160701,01` (day, month and year).
 fn date_s(text: &str) -> Option<f64> {
     let digits: String = text.chars().filter(char::is_ascii_digit).take(6).collect();
     let part = |at: usize| digits.get(at..at + 2)?.parse::<u32>().ok();
-    // Recorders exist since the eighties.
+    // Flight recorders have existed since the 1980s.
     let year = part(4)? + if part(4)? < 80 { 2000 } else { 1900 };
     time::civil_s([year, part(2)?, part(0)?, 0, 0, 0], 0.0)
 }
@@ -65,7 +65,7 @@ fn fix(record: &str, line: usize) -> Result<(f64, Fix), String> {
         b'V' => false,
         _ => return Err("fix truncated or damaged".to_owned()),
     };
-    // 0 in flight means unknown.
+    // A height of 0 in flight means unknown.
     let height_m = number(30, 35).ok().filter(|height| is_3d && *height != 0.0);
     let fix = Fix { gps_height_m: height_m, ..Fix::at(line, coordinate::checked(position)?) };
     Ok((of_day_s, fix))

@@ -1,9 +1,9 @@
-//! Which format a file has, by its content.
+//! Detection of the format of a file by its content.
 
 use super::text::decode;
 use super::{ardupilot, csv, dji, gpmf, igc, nmea, srt};
 
-/// A format of files.
+/// File format.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Kind {
     /// Subtitles of a drone, DJI's or Autel's.
@@ -22,7 +22,7 @@ pub enum Kind {
     Csv,
     /// A photograph.
     Photograph,
-    /// Telemetry of a GoPro camera, taken out of its video.
+    /// Telemetry of a GoPro camera, extracted from its video.
     Gpmf,
 }
 
@@ -38,13 +38,13 @@ with_names!(Kind {
     Gpmf = "GPMF",
 });
 
-/// The beginning of a file, by which formats are recognized.
+/// Start of a file, by which formats are recognized.
 pub(super) fn head_of(bytes: &[u8]) -> &[u8] {
     &bytes[..bytes.len().min(1 << 16)]
 }
 
 impl Kind {
-    /// The format of a file with this content.
+    /// Recognizes the format of a file by its content.
     pub fn of(bytes: &[u8]) -> Option<Self> {
         let head = head_of(bytes);
         if matches!(

@@ -1,14 +1,14 @@
-//! KML 2.2: `gx:Track` (times and coordinates in two rows) and points with a time stamp.
+//! KML 2.2: `gx:Track` (times and coordinates in two lists) and points with a time stamp.
 //!
-//! Heights count with the altitude mode `absolute`, which is above the sea. A file that breaks off is used as far as it
-//! goes.
+//! Heights are used with the altitude mode `absolute`, which is relative to sea level. A truncated file is read up to
+//! its last complete element.
 
 use super::fix::{ClockKind, Fix, HeightDatum, Log};
 use super::text::{check_length, number};
 use super::xml::{self, Element};
 use super::{coordinate, time};
 
-/// A track or a point that is being read.
+/// Partially read track or point.
 #[derive(Default)]
 struct Open {
     times: Vec<Option<f64>>,
@@ -44,10 +44,10 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
 
 fn take(open: &mut Open, content: &str, line: usize, log: &mut Log) {
     match check_length(content) {
-        // More than a log holds is counted as such when the track ends.
+        // One position beyond the maximum is kept: the log reports the excess when the track ends.
         Ok(()) if open.coordinates.len() <= log.room.most => open.coordinates.push((line, content.trim().to_owned())),
         Ok(()) => log.room.is_exceeded = true,
-        Err(reason) => log.pass_over(line, reason),
+        Err(reason) => log.skip_line(line, reason),
     }
 }
 
@@ -58,7 +58,7 @@ fn finish(open: Open, log: &mut Log) {
         let (longitude, latitude) = (parts.next().unwrap_or_default(), parts.next().unwrap_or_default());
         let height_m = parts.next().and_then(number).filter(|_| open.is_absolute);
         match coordinate::position(longitude, latitude) {
-            Err(reason) => log.pass_over(line, reason),
+            Err(reason) => log.skip_line(line, reason),
             Ok(position) => {
                 log.push("kml", Fix { clock_s: clock_s.flatten(), gps_height_m: height_m, ..Fix::at(line, position) })
             }

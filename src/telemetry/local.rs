@@ -1,4 +1,4 @@
-//! A log in metres east, north and up of its first fix.
+//! Telemetry log in meters east, north and up of its first fix.
 
 use std::collections::BTreeMap;
 
@@ -10,60 +10,60 @@ use crate::math::median;
 use crate::metric::PositionFix;
 use crate::scene::MapOrigin;
 
-/// Which heights of a log count; two kinds are never mixed.
+/// Height source of a log; the two kinds are never mixed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Heights {
-    /// Above take-off, by air pressure: smoother than what a receiver knows.
+    /// Barometric, above take-off: smoother than the receiver's heights.
     Relative,
-    /// Absolute ones.
+    /// Absolute heights.
     Absolute,
-    /// None.
+    /// No heights.
     Absent,
 }
 
 /// Origin of a log's times.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TimeBase {
-    /// The video's start.
+    /// Start of the video.
     Video,
-    /// 1970, on the log's own clock.
+    /// 1970, on the log's clock.
     Clock,
 }
 
-/// Fixes in metres.
+/// Fixes in meters.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LocalFixes {
-    /// Turns metres into longitude, latitude and height.
+    /// Converts meters to longitude, latitude and height.
     pub frame: LocalFrame,
     /// The fixes, in order of time.
     pub fixes: Vec<PositionFix>,
-    /// Which heights they have.
+    /// Height source of the fixes.
     pub heights: Heights,
-    /// Origin of their times.
+    /// Origin of the fixes' times.
     pub times: TimeBase,
-    /// Time from which those of the fixes count, seconds from the origin: seconds after 1970 have too few digits for
-    /// steps of milliseconds.
+    /// Time offset of the fixes, seconds from the origin: in seconds after 1970 a number has too few digits for steps
+    /// of milliseconds.
     pub epoch_s: f64,
 }
 
-/// Standard deviation of a height by air pressure over a flight, metres: weather and wind at the sensor.
+/// Standard deviation of a barometric height over a flight, meters: weather and wind at the sensor.
 const BAROMETER_STD_M: f64 = 1.0;
 
-/// Length of a degree of latitude, metres.
+/// Length of a degree of latitude, meters.
 pub(super) const DEGREE_M: f64 = 111_320.0;
 
-/// Heights of a kind count if so many fixes have them.
-const MOST: f64 = 0.9;
+/// Minimum share of fixes with a height of some kind for that kind to be used.
+const MIN_SHARE: f64 = 0.9;
 
 impl Log {
-    /// The fixes that have a time, in metres; `None` if there are none. Video time is taken where all fixes have it.
+    /// Fixes with a time, in meters; `None` if there are none. Video time is used if all fixes have it.
     pub fn local_fixes(&self) -> Option<LocalFixes> {
         let by_video = self.fixes.iter().all(|fix| fix.video_s.is_some());
         let times = if by_video { TimeBase::Video } else { TimeBase::Clock };
         self.local_fixes_at(times, |fix| if by_video { fix.video_s } else { fix.clock_s })
     }
 
-    /// The same at other times, such as those of photographs by their names.
+    /// As [`Self::local_fixes`], at given times, for example those of photographs by name.
     pub fn local_fixes_at(&self, times: TimeBase, time_s: impl Fn(&Fix) -> Option<f64>) -> Option<LocalFixes> {
         let timed: Vec<(&Fix, f64)> = self.fixes.iter().filter_map(|fix| Some((fix, time_s(fix)?))).collect();
         let (first, first_s) = timed.first()?;
@@ -81,7 +81,7 @@ impl Log {
         Some(LocalFixes { frame, fixes, heights, times, epoch_s })
     }
 
-    /// True if every fix belongs to an image by its name: the log of a folder, not of a clock.
+    /// Returns true if every fix is tied to an image by name: the log of a folder, without a clock.
     pub fn is_by_name(&self) -> bool {
         self.fixes.iter().all(|fix| fix.photograph.is_some())
     }
@@ -101,16 +101,16 @@ impl Log {
         let share = |has: fn(&Fix) -> bool| {
             self.fixes.iter().filter(|fix| has(fix)).count() as f64 / self.fixes.len().max(1) as f64
         };
-        if share(|fix| fix.relative_height_m.is_some()) >= MOST {
+        if share(|fix| fix.relative_height_m.is_some()) >= MIN_SHARE {
             Heights::Relative
-        } else if share(|fix| fix.gps_height_m.is_some()) >= MOST {
+        } else if share(|fix| fix.gps_height_m.is_some()) >= MIN_SHARE {
             Heights::Absolute
         } else {
             Heights::Absent
         }
     }
 
-    /// Absolute height of the place of take-off: the median of what both kinds of height say.
+    /// Absolute height of the take-off point: the median difference of the absolute and the relative heights.
     fn takeoff_height_m(&self) -> Option<f64> {
         let differences = self.fixes.iter().filter_map(|fix| Some(fix.gps_height_m? - fix.relative_height_m?));
         median(differences.collect())
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn heights_above_take_off_go_before_absolute_ones_and_are_not_mixed_with_them() {
+    fn heights_above_take_off_are_preferred_to_absolute_ones_and_not_mixed() {
         let noise = [3.0, -1.0, 0.0, 2.0, -2.0];
         let fixes = (0..5).map(|i| fix(i, Some(500.0 + noise[i as usize]), Some(10.0))).collect();
         let found = log(fixes);
@@ -160,7 +160,7 @@ mod tests {
             (found.heights, found.times, found.frame.origin.knows_height),
             (Heights::Relative, TimeBase::Video, true)
         );
-        // A plane touches the earth: 44 m on, it is 0.15 mm above it.
+        // The local frame is tangent to the Earth: at 44 m the difference is 0.15 mm.
         assert!(found.fixes.iter().all(|fix| (fix.up_m.unwrap() - 10.0).abs() < 1e-3), "{:?}", found.fixes);
         assert!((found.fixes[4].east_north_m.y - 44.48).abs() < 0.02, "{:?}", found.fixes[4]);
         let PositionFix { east_north_m, up_m, .. } = found.fixes[4];

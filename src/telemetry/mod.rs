@@ -1,18 +1,17 @@
-//! Telemetry: where a receiver says that the camera was.
+//! Telemetry: camera positions from a receiver.
 //!
-//! A file of any known format becomes one [`Log`]: fixes in order of time, and what was skipped with its line and
-//! the reason. Formats are distinguished by their content, never by name or by the name of a drone: subtitle files of
-//! drones (a registry of dialects), GPX, KML, IGC, NMEA 0183, ArduPilot's text logs, tables, GPMF, GPS data in
-//! photographs. `foreign` names the converter of what is not read.
-//! `docs/telemetry.md` describes each.
+//! A file of any known format becomes one [`Log`]: fixes in order of time, and skipped entries with their line and the
+//! reason. Formats are recognized by their content, not by the file name or the drone model: drone subtitle files (a
+//! registry of dialects), GPX, KML, IGC, NMEA 0183, ArduPilot's text logs, tables, GPMF, GPS data in photographs.
+//! `foreign` names the converters of unsupported formats. `docs/telemetry.md` describes each.
 //!
-//! Heights of two kinds are kept apart: absolute ones, which a receiver or a fusion with air pressure gives, and those
-//! above the place of take-off. Longitudes and latitudes are decimal degrees, as in all these files, so that no digit
-//! changes on the way; other angles are radians.
+//! Two kinds of heights are distinguished: absolute heights, from a receiver or its fusion with a barometer, and
+//! heights above the take-off point. Longitudes and latitudes are decimal degrees, as in all these files, so that no
+//! digit changes; other angles are radians.
 //!
-//! [`LocalFrame`] turns positions on the ellipsoid into metres east, north and up of a place, and back.
+//! [`LocalFrame`] converts positions on the ellipsoid to local meters east, north and up, and back.
 //!
-//! Nothing here panics on any input, and time and memory are linear in the length of a file, which is limited.
+//! No input causes a panic. Time and memory are linear in the length of a file, which is limited.
 
 mod ardupilot;
 mod bytes;

@@ -1,8 +1,9 @@
 //! NMEA 0183, as receivers and dash cameras write it: `$GPRMC,…*hh`.
 //!
-//! Read: GGA (position, height above the sea and of the sea above the ellipsoid, kind of fix, dilution), RMC (position,
-//! date, speed), GST (deviations), ZDA (date). Sentences of one time make one fix. A sentence may stand anywhere in its
-//! line; its check sum must be right if there is one. Angles are degrees and minutes in one number, `ddmm.mmmm`.
+//! Read: GGA (position, height above sea level and geoid height above the ellipsoid, kind of fix, dilution), RMC
+//! (position, date, speed), GST (standard deviations), ZDA (date). Sentences of one time form one fix. A sentence may
+//! start anywhere in its line; its checksum must be right if there is one. Angles are degrees and minutes in one
+//! number, `ddmm.mmmm`.
 
 use super::coordinate;
 use super::fix::{ClockKind, Fix, HeightDatum, Log, Position, Receiver};
@@ -25,9 +26,9 @@ struct Epoch {
 struct Reading {
     log: Log,
     epoch: Option<Epoch>,
-    /// Midnight before the epoch, seconds after 1970; `None` before a date was read.
+    /// Midnight before the epoch, seconds after 1970; `None` before the first date.
     midnight_s: Option<f64>,
-    /// Heights are above the ellipsoid as long as all sentences say where that is.
+    /// True while every height comes with a geoid height, so that it is above the ellipsoid.
     all_ellipsoidal: bool,
 }
 
@@ -38,14 +39,14 @@ pub(super) fn read(text: &str, empty: Log) -> Log {
     for (line, content) in (1..).zip(text.lines()) {
         let understood = check_length(content).and_then(|()| reading.sentence(line, content));
         if let Err(reason) = understood {
-            reading.log.pass_over(line, reason);
+            reading.log.skip_line(line, reason);
         }
     }
     reading.flush();
     reading.finish()
 }
 
-/// Returns true if a line holds a sentence.
+/// Returns true if a line has a sentence.
 pub(super) fn is_sentence(line: &str) -> bool {
     body(line).is_some_and(|body| body.len() > 6 && body.as_bytes()[5] == b',' && body.is_char_boundary(5))
 }
@@ -56,7 +57,7 @@ fn body(line: &str) -> Option<&str> {
     after.starts_with(['G', 'B', 'Q']).then_some(after.trim_end())
 }
 
-/// The fields of a sentence whose check sum is right, or absent.
+/// Fields of a sentence whose checksum is right or absent.
 fn fields(line: &str) -> Result<Option<Vec<&str>>, String> {
     let Some(body) = body(line) else { return Ok(None) };
     let Some((content, sum)) = body.split_once('*') else { return Ok(Some(body.split(',').collect())) };
@@ -115,7 +116,7 @@ impl Reading {
         let date = field(9);
         let part = |range| date.get(range).and_then(number);
         let epoch = self.epoch(line, field(1))?;
-        // GGA knows more digits with some receivers, never fewer.
+        // With some receivers GGA has more digits, never fewer.
         epoch.position = epoch.position.or(Some(position));
         epoch.speed_m_s = number(field(7)).map(|knots| knots * KNOT_M_S);
         self.take_date(part(4..6).map(|year| 2000.0 + year), part(2..4), part(0..2));
@@ -129,7 +130,7 @@ impl Reading {
         Ok(())
     }
 
-    /// The epoch of a time of day, `hhmmss.ss`; what was gathered of another one is finished first.
+    /// Returns the epoch of a time of day, `hhmmss.ss`; an epoch of another time is finished first.
     fn epoch(&mut self, line: usize, time: &str) -> Result<&mut Epoch, String> {
         let time_s = time_of_day_s(time).ok_or("sentence without a time")?;
         let last_s = self.epoch.as_ref().map(|epoch| epoch.time_s);
@@ -171,7 +172,7 @@ impl Reading {
         let mut log = self.log;
         log.clock = if self.midnight_s.is_some() { ClockKind::Utc } else { ClockKind::TimeOfDay };
         if let Some(midnight_s) = self.midnight_s {
-            // Fixes before the first date belong to the day of the date.
+            // Fixes before the first date are assigned to its day.
             let dated = log.fixes.iter().filter_map(|fix| fix.clock_s).find(|&clock_s| clock_s >= DAY_S);
             let first_midnight_s = dated.map_or(midnight_s, |clock_s| (clock_s / DAY_S).floor() * DAY_S);
             let undated =

@@ -1,19 +1,19 @@
-//! Fixes in order of time, in spite of clocks that jump.
+//! Sorting of fixes by time, robust to clock jumps.
 
 use std::cmp::Ordering;
 
 use super::fix::{Fix, Log};
 
-/// Time by which fixes are ordered: that in the video if all have one, else that of the clock.
+/// Returns the time used for ordering: video time if all fixes have one, otherwise clock time.
 fn time_of(fixes: &[Fix]) -> impl Fn(&Fix) -> Option<f64> + Copy + use<> {
     let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
     move |fix| if by_video { fix.video_s } else { fix.clock_s }
 }
 
-/// Sorts fixes whose order in the file is another one: newest first, or tracks in any order.
+/// Sorts fixes that are in another order in the file, such as newest first or tracks in any order.
 ///
-/// Series of rising times that do not overlap are tracks and are sorted. Where they overlap, single times are wrong or
-/// the clock was set, and [`keep_rising`] decides.
+/// Ascending series that do not overlap are tracks and are sorted. Where they overlap, single times are wrong or the
+/// clock was set, and [`keep_rising`] decides.
 pub(super) fn sort_by_time(log: &mut Log) {
     let time_s = time_of(&log.fixes);
     let times: Option<Vec<f64>> = log.fixes.iter().map(time_s).collect();
@@ -35,10 +35,10 @@ pub(super) fn sort_by_time(log: &mut Log) {
     }
 }
 
-/// Keeps the longest series of fixes whose times rise, and passes over the others.
+/// Keeps the longest series of fixes with ascending times and skips all others.
 ///
-/// A single wrong time costs itself, a clock that was set in mid-flight the shorter side. Logs whose fixes have no time
-/// stay as they are.
+/// A single wrong time removes one fix; a clock set in mid-flight removes the shorter side. Logs whose fixes have no
+/// time are unchanged.
 pub(super) fn keep_rising(log: &mut Log) {
     let fixes = std::mem::take(&mut log.fixes);
     let times: Vec<Option<f64>> = fixes.iter().map(time_of(&fixes)).collect();
@@ -53,7 +53,7 @@ pub(super) fn keep_rising(log: &mut Log) {
             last_s = time;
             log.fixes.push(fix);
         } else {
-            log.pass_over(fix.line, reason(time, last_s));
+            log.skip_line(fix.line, reason(time, last_s));
         }
     }
     log.passed_over.sort_by_key(|passed| passed.line);
@@ -77,7 +77,7 @@ fn longest_rise(times: &[Option<f64>]) -> Vec<bool> {
         let length = tails.partition_point(|&tail| times[tail].is_some_and(|last| last < *time));
         before[i] = length.checked_sub(1).map(|shorter| tails[shorter]);
         match tails.get_mut(length) {
-            // The one that came first stays where times are equal.
+            // Of equal times the first one is kept.
             Some(tail) if times[*tail] == times[i] => {}
             Some(tail) => *tail = i,
             None => tails.push(i),

@@ -19,17 +19,17 @@ use crate::memory::MemoryLimit;
 /// The name in reports.
 pub(super) const DIALECT: &str = "exif";
 
-/// Reads the GPS data of photographs, in the order in which they are given; `line` of a fix is the number of its
-/// photograph, from 1. They keep that order whatever their clocks say.
+/// Reads the GPS data of photographs in the given order, whatever their clocks; `line` of a fix is the number of its
+/// photograph, from 1.
 ///
 /// # Errors
-/// [`TelemetryError::NoFix`] if none of them has a position; what is wrong with single ones stands in the log.
+/// [`TelemetryError::NoFix`] if none of them has a position; problems of single photographs are in the log.
 pub fn read_photographs(paths: &[PathBuf]) -> Result<Log, TelemetryError> {
     let mut log = empty();
     for (number, path) in (1..).zip(paths) {
         let bytes = bytes_of(path, MemoryLimit::of_machine()).map_err(|error| error.to_string());
         match bytes.and_then(|bytes| fix(&bytes, number)) {
-            Err(reason) => log.pass_over(number, format!("{}: {reason}", path.display())),
+            Err(reason) => log.skip_line(number, format!("{}: {reason}", path.display())),
             Ok(fix) => {
                 let photograph = path.file_name().map(|name| name.to_string_lossy().into_owned());
                 log.push(DIALECT, Fix { photograph, ..fix });
@@ -51,19 +51,19 @@ fn empty() -> Log {
     Log { clock: ClockKind::Utc, height_datum: HeightDatum::SeaLevel, ..Log::default() }
 }
 
-/// The log of one photograph whose content is at hand.
+/// Reads the log of one photograph from its bytes.
 pub(super) fn read_one(bytes: &[u8]) -> Log {
     let mut log = empty();
     match fix(bytes, 1) {
         Ok(fix) => log.push(DIALECT, fix),
-        Err(reason) => log.pass_over(1, reason),
+        Err(reason) => log.skip_line(1, reason),
     }
     log
 }
 
 fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
     let exif = exif::Reader::new().continue_on_error(true).read_from_container(&mut Cursor::new(bytes));
-    // Many cameras write blocks with a flaw somewhere: the readable fields count.
+    // Many cameras write blocks with a flaw somewhere: the readable fields are used.
     let exif = exif.or_else(|error| error.distill_partial_result(|_| {}));
     let exif = exif.map_err(|error| format!("no readable EXIF data ({error})"))?;
     let (longitude_deg, fine) = angle(&exif, Tag::GPSLongitude, Tag::GPSLongitudeRef).ok_or_else(|| missing(bytes))?;
@@ -85,7 +85,7 @@ fn fix(bytes: &[u8], line: usize) -> Result<Fix, String> {
     })
 }
 
-/// Reason for no position in the EXIF data: some programs and drones write it as XMP alone.
+/// Reason for a missing position in the EXIF data: some programs and drones write it as XMP only.
 fn missing(bytes: &[u8]) -> String {
     // XMP is in the first segments.
     let mut names = bytes[..bytes.len().min(1 << 18)].windows(b"GPSLatitude".len());
@@ -112,12 +112,12 @@ fn letters(exif: &Exif, tag: Tag) -> Option<String> {
     }
 }
 
-/// Degrees, minutes and seconds as one angle, and what the last digit represents.
+/// Degrees, minutes and seconds as one angle, and the value of the last digit.
 fn angle(exif: &Exif, tag: Tag, reference: Tag) -> Option<(f64, f64)> {
     let parts = rationals(exif, tag)?;
     let units = [1.0, 60.0, 3600.0];
     let value: f64 = parts.iter().zip(units).map(|(part, unit)| part.to_f64() / unit).sum();
-    // The finest of what is written: seconds in tenths, or minutes with many digits and no seconds.
+    // Finest resolution of the parts: seconds in tenths, or minutes with many digits and no seconds.
     let finest = parts
         .iter()
         .zip(units)

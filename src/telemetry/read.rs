@@ -1,4 +1,4 @@
-//! A file of any format as a log.
+//! Reading of telemetry files of any format.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -15,18 +15,18 @@ use super::{Kind, ardupilot, csv, dji, foreign, gpx, igc, kml, nmea, order, phot
 use crate::memory::MemoryLimit;
 use crate::scene::Timed;
 
-/// Reads a file; of a folder its photographs, in order of their names.
+/// Reads a file, or the photographs of a folder in order of their names.
 ///
 /// # Errors
-/// [`TelemetryError`] names the file and what can be done.
+/// [`TelemetryError`] names the file and the remedy.
 pub fn read(path: &Path) -> Result<Log, TelemetryError> {
     read_within(path, MemoryLimit::of_machine())
 }
 
-/// As [`read`], within a limit of memory.
+/// As [`read`], within a memory limit.
 ///
 /// # Errors
-/// As [`read`]; [`TelemetryError::TooLarge`] and [`TelemetryError::TooMany`] where the limit does not hold the file.
+/// As [`read`]; [`TelemetryError::TooLarge`] and [`TelemetryError::TooMany`] where the file exceeds the limit.
 pub fn read_within(path: &Path, limit: MemoryLimit) -> Result<Log, TelemetryError> {
     if path.is_dir() {
         return photographs::read_photographs(&photographs_in(path)?);
@@ -34,7 +34,7 @@ pub fn read_within(path: &Path, limit: MemoryLimit) -> Result<Log, TelemetryErro
     parse(&bytes_of(path, limit)?, path, limit)
 }
 
-/// Reads what a file holds; `path` is its name in messages.
+/// Reads the content of a file; `path` is its name in messages.
 ///
 /// # Errors
 /// As [`read`].
@@ -65,7 +65,7 @@ fn parse(bytes: &[u8], path: &Path, limit: MemoryLimit) -> Result<Log, Telemetry
 /// Reads the entries of a video's subtitle track; `path` is the video's name in messages.
 ///
 /// # Errors
-/// [`TelemetryError::NoFix`] where no entry holds a position.
+/// [`TelemetryError::NoFix`] if no entry has a position.
 pub fn read_subtitles(entries: &[Timed<String>], path: &Path) -> Result<Log, TelemetryError> {
     let mut log = Log::default();
     for (line, entry) in (1..).zip(entries) {
@@ -75,12 +75,12 @@ pub fn read_subtitles(entries: &[Timed<String>], path: &Path) -> Result<Log, Tel
     in_order(with_clock(log), Kind::Dji, path)
 }
 
-/// Reads the GPMF track of a video within a limit of memory; `path` is the video's name in messages.
+/// Reads the GPMF track of a video within a memory limit; `path` is the video's name in messages.
 ///
-/// * `settings` – GPMF of the container's user data, which has the lens; empty if there is none.
+/// * `settings` – GPMF of the container's user data, with the lens; empty if there is none.
 ///
 /// # Errors
-/// [`TelemetryError::NoFix`] where no payload holds a position; [`TelemetryError::TooMany`].
+/// [`TelemetryError::NoFix`] if no payload has a position; [`TelemetryError::TooMany`].
 pub fn read_gpmf(
     payloads: &[Timed<Vec<u8>>],
     settings: &[u8],
@@ -91,7 +91,7 @@ pub fn read_gpmf(
     in_order(gpmf::read(payloads, settings, empty), Kind::Gpmf, path)
 }
 
-/// Refuses a file of no known format; of some the converter is known.
+/// Returns the error for an unknown format, with the converter where it is known.
 fn unreadable(bytes: &[u8], path: &Path) -> TelemetryError {
     let head = head_of(bytes);
     let path = path.to_path_buf();
@@ -105,21 +105,21 @@ fn subtitles(text: &str, empty: Log) -> Log {
     let mut log = empty;
     srt::blocks(text, |block| match block {
         Ok(block) => dji::read_block(&block, &mut log),
-        Err((line, reason)) => log.pass_over(line, reason),
+        Err((line, reason)) => log.skip_line(line, reason),
     });
     with_clock(log)
 }
 
 fn with_clock(mut log: Log) -> Log {
     if log.fixes.iter().any(|fix| fix.clock_s.is_some()) {
-        // The drone's clock shows the time of wherever its pilot's telephone thinks it is.
+        // The drone's clock is set to the time zone of the pilot's phone.
         log.clock = ClockKind::Local;
     }
     time_by_clock(&mut log);
     log
 }
 
-/// Where subtitles have no times of their own, the clock counts from the first one.
+/// Derives video times from the clock, relative to the first fix, where subtitles have none.
 fn time_by_clock(log: &mut Log) {
     let Some(first_s) = log.fixes.first().and_then(|fix| fix.clock_s) else { return };
     if log.fixes.iter().all(|fix| fix.video_s.is_none()) {
@@ -145,7 +145,7 @@ fn in_order(mut log: Log, kind: Kind, path: &Path) -> Result<Log, TelemetryError
     Ok(log)
 }
 
-/// Gives all fixes of a dialect the finest resolution of any: programs that write numbers drop zeros at their end.
+/// Gives all fixes of a dialect the finest resolution of any of them: programs drop trailing zeros.
 fn share_resolution(log: &mut Log) {
     let mut finest: BTreeMap<&str, f64> = BTreeMap::new();
     for fix in &log.fixes {

@@ -1,5 +1,5 @@
-//! Files that real drones wrote, some of them broken. They are not part of this repository: `TRACTRIX_DATA` names the
-//! folder in which they lie, under `telemetry/`.
+//! Files written by real drones, some of them damaged. They are not part of this repository: they are in `telemetry/`
+//! of the folder `TRACTRIX_DATA`.
 
 use std::fmt::Write;
 use std::fs;
@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use super::*;
 
-/// Name, fixes that are read, dialects. A file without fixes is refused.
+/// Name, number of fixes, dialects. A file without fixes is refused.
 const EXPECTED: [(&str, usize, &str); 19] = [
     ("air2s.srt", 17, "dji-brackets-altitude"),
     ("broken_empty.SRT", 0, ""),

@@ -1,28 +1,28 @@
-//! SubRip: blocks of a number, a time and lines of text, with empty lines between them. Besides, the entries of
-//! SubStation Alpha, one in a line: `Dialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,text\Ntext`.
+//! SubRip: blocks of a number, a time and lines of text, separated by empty lines. Also the entries of SubStation
+//! Alpha, one per line: `Dialogue: 0,0:00:00.00,0:00:01.00,Default,,0,0,0,,text\Ntext`.
 
 use super::text::check_length;
 use super::time::subtitle_s;
 
-/// One entry of a subtitle file or of a video's subtitle track.
+/// Entry of a subtitle file or of a video's subtitle track.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Subtitle<'a> {
-    /// First line of its text in the file, from 1; of a track its number.
+    /// First line of its text in the file, from 1; for a track the number of the entry.
     pub(super) line: usize,
-    /// When it appears, seconds after the video's start; `None` where it has no time.
+    /// Start, seconds after the video's start; `None` if it has no time.
     pub(super) start_s: Option<f64>,
     /// Text, line by line.
     pub(super) lines: Vec<&'a str>,
 }
 
-/// Lines of one entry that are kept: cameras write a dozen.
-const MOST_LINES: usize = 64;
+/// Maximum number of lines kept of one entry: cameras write a dozen.
+const MAX_LINES: usize = 64;
 
-/// Hands the blocks of a file to `take`, one by one. A new one begins after an empty line and, where that was lost, at
-/// a second line with times. Of lines that are too long, `take` gets the number and the reason.
+/// Passes the blocks of a file to `take`. A block starts after an empty line and, if that is missing, at a second line
+/// with times. For too long lines, `take` gets the number and the reason.
 pub(super) fn blocks<'a>(text: &'a str, mut take: impl FnMut(Result<Subtitle<'a>, (usize, String)>)) {
     let mut block = Subtitle { line: 1, start_s: None, lines: Vec::new() };
-    // Of SubStation Alpha the entries alone count.
+    // In SubStation Alpha only the entries are used.
     let is_alpha = text.trim_start().starts_with("[Script Info]");
     let wanted = |(_, content): &(usize, &str)| !is_alpha || content.trim_start().starts_with("Dialogue:");
     for (line, content) in (1..).zip(text.lines()).filter(wanted) {
@@ -43,19 +43,19 @@ pub(super) fn blocks<'a>(text: &'a str, mut take: impl FnMut(Result<Subtitle<'a>
         match start_s {
             Some(_) => block = Subtitle { line: line + 1, start_s, lines: Vec::new() },
             None if content.is_empty() || is_counter(content, &block) => block.line = line + 1,
-            None if block.lines.len() < MOST_LINES => block.lines.push(content),
+            None if block.lines.len() < MAX_LINES => block.lines.push(content),
             None => {}
         }
     }
     finish(&mut block).into_iter().for_each(|whole| take(Ok(whole)));
 }
 
-/// An entry of SubStation Alpha.
+/// Parses an entry of SubStation Alpha.
 fn dialogue(fields: &str, line: usize) -> Option<Subtitle<'_>> {
     // Layer, start, end, style, name, three margins, effect, text.
     let mut fields = fields.splitn(10, ',');
     let start_s = subtitle_s(fields.nth(1)?);
-    let lines = fields.nth(7)?.split("\\N").map(str::trim).take(MOST_LINES).collect();
+    let lines = fields.nth(7)?.split("\\N").map(str::trim).take(MAX_LINES).collect();
     Some(Subtitle { line, start_s, lines })
 }
 
@@ -64,7 +64,7 @@ fn is_counter(content: &str, block: &Subtitle) -> bool {
     block.start_s.is_none() && block.lines.is_empty() && content.bytes().all(|byte| byte.is_ascii_digit())
 }
 
-/// The block so far, unless it is empty; the next one begins.
+/// Returns the current block unless it is empty, and starts the next one.
 fn finish<'a>(block: &mut Subtitle<'a>) -> Option<Subtitle<'a>> {
     let line = block.line;
     let whole = std::mem::replace(block, Subtitle { line, start_s: None, lines: Vec::new() });

@@ -1,4 +1,4 @@
-//! Summary of a telemetry file, for people and programs.
+//! Summary of a telemetry file, as text and JSON.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -11,17 +11,17 @@ use super::gpmf::Lens;
 use super::local::DEGREE_M;
 use super::time;
 
-/// Least and greatest of what was read.
+/// Minimum and maximum of a quantity.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Range {
-    /// The least.
+    /// Minimum.
     pub least: f64,
-    /// The greatest.
+    /// Maximum.
     pub most: f64,
 }
 
 impl Range {
-    /// The range that also has a value.
+    /// Extends a range by a value.
     pub(super) fn with(range: Option<Self>, value: f64) -> Self {
         let range = range.unwrap_or(Self { least: value, most: value });
         Self { least: range.least.min(value), most: range.most.max(value) }
@@ -32,14 +32,14 @@ impl Range {
     }
 }
 
-/// Facts of a log.
+/// Summary of a log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Summary {
     /// Number of fixes by format or dialect.
     pub dialects: BTreeMap<&'static str, usize>,
     /// Number of fixes.
     pub num_fixes: usize,
-    /// First and last time after the video's start, seconds.
+    /// First and last video time, seconds.
     pub video_s: Option<Range>,
     /// Kind of clock.
     pub clock: ClockKind,
@@ -47,46 +47,46 @@ pub struct Summary {
     pub first_clock: Option<String>,
     /// Last time on the clock.
     pub last_clock: Option<String>,
-    /// Fixes per second, of those whose position is not that of the one before.
+    /// Fixes per second, counting only fixes whose position differs from the previous one.
     pub rate_hz: Option<f64>,
-    /// Degrees.
+    /// Longitudes, degrees.
     pub longitude_deg: Option<Range>,
-    /// Degrees.
+    /// Latitudes, degrees.
     pub latitude_deg: Option<Range>,
-    /// Value of the last digit of longitude and latitude on the ground (north–south), meters; the coarsest.
+    /// Coarsest value of the last digit of longitude and latitude on the ground (north–south), meters.
     pub resolution_m: Option<f64>,
-    /// Diagonal of the ground that the fixes cover, metres.
+    /// Diagonal of the ground area covered by the fixes, meters.
     pub extent_m: f64,
-    /// Absolute heights, metres.
+    /// Absolute heights, meters.
     pub gps_height_m: Option<Range>,
-    /// Above what they are counted.
+    /// Reference of the absolute heights.
     pub height_datum: HeightDatum,
-    /// Heights above take-off, metres.
+    /// Heights above take-off, meters.
     pub relative_height_m: Option<Range>,
-    /// Stated or usual horizontal deviation, metres.
+    /// Horizontal standard deviation, stated or typical, meters.
     pub horizontal_std_m: Option<Range>,
     /// Number of fixes with a speed.
     pub num_speeds: usize,
     /// Number of fixes with the camera's attitude.
     pub num_gimbals: usize,
-    /// Number of directions of gravity in the image.
+    /// Number of gravity directions in the image.
     pub num_gravities: usize,
-    /// Number of attitudes of the camera relative to that at the start.
+    /// Number of camera attitudes relative to the start.
     pub num_rotations: usize,
     /// Exposure times, seconds.
     pub exposure_s: Option<Range>,
     /// Camera and lens.
     pub lens: Option<Lens>,
-    /// Focal lengths that would show as much on film, millimeters.
+    /// 35 mm equivalent focal lengths, millimeters.
     pub film_focal_mm: Option<Range>,
-    /// Number of lines that should have given a fix and did not.
+    /// Number of lines without a usable fix.
     pub num_passed_over: usize,
-    /// The first of them.
+    /// The first of these lines.
     pub passed_over: Vec<SkippedEntry>,
 }
 
 impl Log {
-    /// The facts.
+    /// Summarizes the log.
     pub fn summary(&self) -> Summary {
         let range = |value: fn(&Fix) -> Option<f64>| Range::of(self.fixes.iter().filter_map(value));
         let clock = range(|fix| fix.clock_s);
@@ -119,7 +119,7 @@ impl Log {
         }
     }
 
-    /// None of a log that lasts for less than its times are written to.
+    /// Rate of fixes; `None` if the log is shorter than the resolution of its times.
     fn rate_hz(&self) -> Option<f64> {
         let place = |fix: &Fix| (fix.longitude_deg, fix.latitude_deg);
         let moves = self.fixes.windows(2).filter(|pair| place(&pair[0]) != place(&pair[1])).count();
@@ -143,7 +143,7 @@ impl Log {
 }
 
 impl Summary {
-    /// A few lines for people.
+    /// Formats the summary as a few lines of text.
     pub fn as_text(&self) -> String {
         let mut text = String::new();
         let mut line = |name: &str, value: String| {

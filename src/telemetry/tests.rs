@@ -1,4 +1,4 @@
-//! Hostile input: nothing panics, everything ends, and what is wrong is reported with its line.
+//! Hostile input: no panic, termination, and problems reported with their line.
 
 use std::path::Path;
 
@@ -45,7 +45,7 @@ fn read_text(bytes: &[u8]) -> Result<Log, TelemetryError> {
     read_bytes(bytes, Path::new("any log"))
 }
 
-/// Properties of every log, whatever it was read from.
+/// Checks the properties of every log, for any format.
 fn check(log: &Log) {
     assert!(!log.fixes.is_empty());
     for fix in &log.fixes {
@@ -57,12 +57,12 @@ fn check(log: &Log) {
     let summary = log.summary();
     let json = serde_json::to_string(&summary).unwrap();
     let said = format!("{json}{}", summary.as_text());
-    // JSON has no word for what is not finite, and people none that they understand.
+    // JSON has no representation of non-finite numbers.
     assert!(!said.contains("NaN") && !said.contains(" inf"), "{said}");
 }
 
 #[test]
-fn every_seed_is_understood() {
+fn every_seed_is_parsed() {
     for (seed, expected) in SEEDS.iter().zip([2, 2, 1, 1, 2, 1, 2, 1, 2, 2, 1, 1, 2, 1]) {
         let log = read_text(seed.as_bytes()).unwrap();
         check(&log);
@@ -71,7 +71,7 @@ fn every_seed_is_understood() {
 }
 
 #[test]
-fn a_log_that_lasts_for_no_time_has_no_rate() {
+fn a_log_without_duration_has_no_rate() {
     let log = read_text(
         b"1\n00:00:00,000 --> 00:00:00,033\n[latitude: 41.424724] [longitude: 2.234156]\n\n2\n00:00:00,1e-320 --> \
           00:00:02,000\n[latitude: 41.424725] [longitude: 2.234147]\n",
@@ -82,7 +82,7 @@ fn a_log_that_lasts_for_no_time_has_no_rate() {
 }
 
 #[test]
-fn a_file_cut_anywhere_is_used_as_far_as_it_goes() {
+fn a_truncated_file_is_read_up_to_its_end() {
     for seed in SEEDS {
         let whole = read_text(seed.as_bytes()).unwrap().fixes.len();
         for end in 0..seed.len() {
@@ -107,7 +107,7 @@ fn logs_of_other_programs_are_refused_with_the_converter() {
 }
 
 #[test]
-fn what_is_no_telemetry_is_refused_with_a_cure() {
+fn other_files_are_refused_with_a_remedy() {
     let said = |bytes: &[u8]| read_text(bytes).unwrap_err().to_string();
     assert!(said(b"").contains("empty") && said(b" \r\n\n").contains("empty"));
     assert!(said(b"hello").contains("docs/telemetry.md"));
@@ -181,11 +181,11 @@ fn positions_do_not_fill_the_memory() {
 }
 
 #[test]
-fn telemetry_of_a_camera_fills_no_memory_and_says_what_it_lacks() {
+fn camera_telemetry_respects_the_memory_limit_and_reports_missing_data() {
     let limit: MemoryLimit = "64MiB".parse().unwrap();
     let path = Path::new("a.mp4");
     let refused = |seconds: &[Vec<u8>]| read_gpmf(&made::payloads(seconds), &[], path, limit).unwrap_err().to_string();
-    // Samples of gravity are as small as six bytes.
+    // Gravity samples are as small as six bytes.
     let gravity = made::entry(b"GRAV", b's', 6, &[0, 1].repeat(3 * 65_000));
     let streams = [made::nest(b"STRM", &[]), [b"STRM\0\xff\xff\xff".to_vec(), gravity].concat()];
     let second = [b"DEVC\0\xff\xff\xff".to_vec(), streams.concat()].concat();
@@ -287,7 +287,7 @@ proptest! {
         let mut text = String::new();
         for (i, part) in SEEDS[which].split(char::is_numeric).enumerate() {
             text.push_str(part);
-            // Every third number is another one.
+            // Replaces every third number.
             let number = numbers.next().filter(|_| i % 3 == 0);
             text.push_str(&number.map_or("1".to_owned(), |number| number.to_string()));
         }

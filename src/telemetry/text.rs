@@ -1,9 +1,9 @@
-//! Bytes as text, and text as numbers.
+//! Decoding of text and numbers.
 
 use std::borrow::Cow;
 
-/// Text of a file. A byte order mark says UTF-16; all else is UTF-8, where bytes that are none (a degree sign of an
-/// older encoding) become replacement characters.
+/// Decodes the text of a file. A byte order mark selects UTF-16; all else is UTF-8, with invalid bytes (a degree sign
+/// of an older encoding) as replacement characters.
 pub(super) fn decode(bytes: &[u8]) -> Cow<'_, str> {
     match bytes {
         [0xff, 0xfe, rest @ ..] => Cow::Owned(utf16(rest, u16::from_le_bytes)),
@@ -23,10 +23,10 @@ pub(super) const MPH_M_S: f64 = 0.447_04;
 /// One knot, meters per second.
 pub(super) const KNOT_M_S: f64 = 0.514_444;
 
-/// Longer lines are no telemetry.
+/// Maximum line length of telemetry, bytes.
 const MAX_LINE: usize = 1 << 16;
 
-/// Refuses a line that is too long to be looked at.
+/// Refuses a line that is too long to be parsed.
 pub(super) fn check_length(line: &str) -> Result<(), String> {
     match line.len() {
         0..=MAX_LINE => Ok(()),
@@ -34,21 +34,21 @@ pub(super) fn check_length(line: &str) -> Result<(), String> {
     }
 }
 
-/// The beginning of a text, to be shown in a message.
+/// Start of a text, for a message.
 pub(super) fn shown(text: &str) -> String {
-    // Characters in a message.
-    const MOST: usize = 40;
+    // Maximum number of characters in a message.
+    const MAX_CHARS: usize = 40;
     let text = text.trim();
-    let cut: String = text.chars().take(MOST).map(|c| if c.is_control() { ' ' } else { c }).collect();
-    if text.chars().nth(MOST).is_some() { format!("“{cut}…”") } else { format!("“{cut}”") }
+    let cut: String = text.chars().take(MAX_CHARS).map(|c| if c.is_control() { ' ' } else { c }).collect();
+    if text.chars().nth(MAX_CHARS).is_some() { format!("“{cut}…”") } else { format!("“{cut}”") }
 }
 
-/// A finite number.
+/// Parses a finite number.
 pub(super) fn number(text: &str) -> Option<f64> {
     text.trim().parse().ok().filter(|value: &f64| value.is_finite())
 }
 
-/// The number that a text begins with, such as 17.39 of “17.39m”, and what follows it.
+/// Parses the number at the start of a text, such as 17.39 of “17.39m”; returns it and the rest.
 pub(super) fn leading_number(text: &str) -> Option<(f64, &str)> {
     let text = text.trim_start();
     let is_part = |(i, c): (usize, char)| c.is_ascii_digit() || c == '.' || (i == 0 && (c == '-' || c == '+'));
@@ -56,7 +56,7 @@ pub(super) fn leading_number(text: &str) -> Option<(f64, &str)> {
     Some((number(&text[..end])?, &text[end..]))
 }
 
-/// Value of the last digit of a decimal number: 0.001 of “-12.345” and of “-1.2345e1”.
+/// Value of the last digit of a decimal number: 0.001 for “-12.345” and for “-1.2345e1”.
 pub(super) fn resolution(text: &str) -> f64 {
     let (mantissa, exponent) = text.trim().split_once(['e', 'E']).unwrap_or((text.trim(), "0"));
     let digits = mantissa.split_once('.').map_or("", |(_, digits)| digits);

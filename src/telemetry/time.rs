@@ -1,4 +1,4 @@
-//! Dates and times as files write them.
+//! Parsing and formatting of dates and times.
 
 use jiff::Timestamp;
 use jiff::civil::DateTime;
@@ -10,11 +10,11 @@ pub(super) const DAY_S: f64 = 86_400.0;
 
 /// Seconds after 1970-01-01T00:00:00 of a date and a time without a zone, both on the same clock.
 ///
-/// Takes year, month, day, hour, minute, second; `None` of what is no date.
+/// Takes year, month, day, hour, minute, second; `None` for an invalid date.
 pub(super) fn civil_s(parts: [u32; 6], fraction_s: f64) -> Option<f64> {
     let [year, month, day, hour, minute, second] = parts;
     let small = |value: u32| i8::try_from(value).ok();
-    // A leap second counts as the one before it.
+    // A leap second counts as the preceding second.
     let second = second.min(59);
     let civil = DateTime::new(
         i16::try_from(year).ok()?,
@@ -33,7 +33,7 @@ pub(super) fn civil_s(parts: [u32; 6], fraction_s: f64) -> Option<f64> {
 /// Seconds after 1970-01-01T00:00:00 of a date and time in any of DJI's spellings: `2017.8.5 14:11:51`,
 /// `2022-08-07 13:40:40,774,808` (milliseconds, then microseconds), `2026-05-27 13:14:22.911`.
 ///
-/// Looks at the beginning of the text; what follows the time is not looked at.
+/// Parses the start of the text only; text after the time is ignored.
 pub(super) fn spelled_s(text: &str) -> Option<f64> {
     let mut rest = text.trim_start();
     let mut parts = [0; 6];
@@ -61,7 +61,7 @@ fn fraction_s(text: &str) -> f64 {
     number(&format!("0.{first}{second}0")).unwrap_or(0.0)
 }
 
-/// Seconds after 1970-01-01T00:00:00 of an ISO 8601 time, and whether it states its zone.
+/// Seconds after 1970-01-01T00:00:00 of an ISO 8601 time, and true if it states its zone.
 pub(super) fn iso_s(text: &str) -> Option<(f64, bool)> {
     let text = text.trim();
     if let Ok(timestamp) = text.parse::<Timestamp>() {
@@ -70,7 +70,7 @@ pub(super) fn iso_s(text: &str) -> Option<(f64, bool)> {
     Some((spelled_s(text)?, false))
 }
 
-/// As [`iso_s`], of the spellings in tables, too: a zone in letters (`2024-05-04 13:05:06 UTC`), slashes
+/// As [`iso_s`], also in the spellings of tables: a zone in letters (`2024-05-04 13:05:06 UTC`), slashes
 /// (`05/04/2024`, month first unless it cannot be one), hours up to twelve (`1:05:06.00 PM`).
 pub(super) fn spelled_in_table_s(text: &str) -> Option<(f64, bool)> {
     let text = text.trim();
@@ -115,13 +115,13 @@ pub fn clock_s(text: &str) -> Option<f64> {
 }
 
 /// Seconds after 1970-01-01T00:00:00 as ISO 8601, to the millisecond: `2024-06-01T12:00:00.5Z` on universal time,
-/// without `Z` on a local clock; `None` beyond the years that a calendar has.
+/// without `Z` on a local clock; `None` outside the range of years of the calendar.
 pub fn date(seconds: f64, is_utc: bool) -> Option<String> {
     let moment = Timestamp::from_millisecond((1e3 * seconds).round() as i64).ok()?.to_string();
     Some(if is_utc { moment } else { moment.trim_end_matches('Z').to_owned() })
 }
 
-/// A time on the log's clock for people: `2022-08-07T13:40:40.774`.
+/// Time on the log's clock, for messages: `2022-08-07T13:40:40.774`.
 pub(super) fn spelled(clock_s: f64) -> Option<String> {
     let timestamp = Timestamp::from_millisecond((clock_s * 1e3).round() as i64).ok()?;
     let civil = timestamp.to_zoned(jiff::tz::TimeZone::UTC).datetime();
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_time_is_nothing() {
+    fn invalid_times_are_none() {
         for text in ["", "2022-13-07 13:40:40", "2022-02-30 00:00:00", "99999-01-01 00:00:00", "2022-08-07", "a"] {
             assert_eq!(spelled_s(text), None, "{text}");
         }

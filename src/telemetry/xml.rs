@@ -1,4 +1,4 @@
-//! Elements of XML files. A file that breaks off is used as far as it goes.
+//! Elements of XML files. A truncated file is read up to its last complete element.
 
 use quick_xml::Reader;
 use quick_xml::events::{BytesStart, Event};
@@ -7,15 +7,15 @@ use super::fix::Log;
 
 /// A tag.
 pub(super) enum Element<'a> {
-    /// It opens an element.
+    /// Start of an element.
     Start(BytesStart<'a>),
-    /// It is a whole element, without content.
+    /// Empty element.
     Empty(BytesStart<'a>),
-    /// It closes an element: its name, and the text since the last tag that opened one.
+    /// End of an element: its name, and the text since the last start tag.
     End(&'a str, &'a str),
 }
 
-/// Hands the elements of a text to `take`, one by one, with the lines where their tags end.
+/// Passes the elements of a text to `take`, with the lines where their tags end.
 pub(super) fn read(text: &str, log: &mut Log, mut take: impl FnMut(Element<'_>, usize, &mut Log)) {
     let mut reader = Reader::from_str(text);
     reader.config_mut().check_end_names = false;
@@ -25,7 +25,7 @@ pub(super) fn read(text: &str, log: &mut Log, mut take: impl FnMut(Element<'_>, 
         match reader.read_event() {
             Err(error) => {
                 let line = lines.at(reader.error_position());
-                return log.pass_over(line, format!("file truncated or damaged here ({error})"));
+                return log.skip_line(line, format!("file truncated or damaged here ({error})"));
             }
             Ok(Event::Eof) => return,
             Ok(Event::Start(tag)) => {
@@ -43,7 +43,7 @@ pub(super) fn read(text: &str, log: &mut Log, mut take: impl FnMut(Element<'_>, 
     }
 }
 
-/// Line numbers of positions that only rise.
+/// Line numbers of ascending positions.
 struct LineCounter<'a> {
     text: &'a [u8],
     at: usize,

@@ -1,28 +1,29 @@
-//! Time stamps for frames whose container states none, or none that rise.
+//! Time stamps for frames whose container has none, or none that increase.
 
 use std::collections::VecDeque;
 
-/// Rebuilds time stamps that are missing or do not rise, one frame at a time: they continue at the pace of the frames
-/// before.
+/// Rebuilds missing or non-increasing time stamps, frame by frame.
+///
+/// Rebuilt stamps continue at the recent frame interval.
 #[derive(Debug)]
 pub(super) struct Clock {
     nominal_step_s: f64,
-    /// The last few intervals that the container stated, seconds.
+    /// Most recent frame intervals of the container, seconds.
     recent_s: VecDeque<f64>,
     last_s: Option<f64>,
-    /// The container's stamp of the last frame.
+    /// Container's time stamp of the last frame.
     stated_s: Option<f64>,
     num_rebuilt: u32,
     num_trailing: u32,
 }
 
-/// The rate that is assumed where a container states none that can be believed.
+/// Frame rate if the container has no plausible one.
 const FALLBACK_FPS: f64 = 25.0;
-/// Intervals that set the pace.
+/// Number of recent frame intervals whose median is the step of rebuilt time stamps.
 const NUM_RECENT: usize = 7;
-/// The latest time that is believed, seconds: thirty years. Beyond it times of frames are too coarse to rise.
+/// Latest plausible time, seconds: thirty years. Beyond it, the resolution of times is too coarse for them to increase.
 const LATEST_S: f64 = 1e9;
-/// Intervals that differ by less than this share are one rate; containers round to ticks.
+/// Relative difference of frame intervals below which the rate counts as constant; containers round to ticks.
 const STEADY: f64 = 0.05;
 
 impl Clock {
@@ -32,7 +33,7 @@ impl Clock {
         Self { nominal_step_s, recent_s, last_s: None, stated_s: None, num_rebuilt: 0, num_trailing: 0 }
     }
 
-    /// The time of the next frame, from what the container says.
+    /// Returns the time of the next frame, given the container's time stamp.
     pub(super) fn advance(&mut self, stated_s: Option<f64>) -> f64 {
         let stated_s = stated_s.filter(|time_s| (0.0..=LATEST_S).contains(time_s));
         let before_s = std::mem::replace(&mut self.stated_s, stated_s);
@@ -44,13 +45,14 @@ impl Clock {
             self.last_s = Some(stated_s);
             return stated_s;
         }
-        // Stamps behind the rebuilt ones show the pace, too; a guessed step that is too long would never let them rise.
+        // Time stamps earlier than the rebuilt ones still give the frame interval. Without them, an assumed step that
+        // is too long would keep every later time stamp behind.
         if let Some((stated_s, before_s)) = stated_s.zip(before_s).filter(|(stated_s, before_s)| stated_s > before_s) {
             self.note(stated_s - before_s);
         }
         self.num_rebuilt += 1;
         self.num_trailing += 1;
-        // A step may be less than what a late time can show.
+        // A step may be below the floating-point resolution of a late time.
         let time_s = self.last_s.map_or(0.0, |last| (last + self.step_s()).max(last.next_up()));
         self.last_s = Some(time_s);
         time_s
@@ -61,8 +63,10 @@ impl Clock {
         self.recent_s.push_front(interval_s);
     }
 
-    /// Number of guessed time stamps. Stamps after the last stated one of a steady rate do not count: decoders give
-    /// none for the frames that they still hold at the end of a file, and the rate is known.
+    /// Number of guessed time stamps.
+    ///
+    /// At a constant rate, frames after the last time stamp of the container do not count: decoders give no time stamps
+    /// for the frames that they buffer at the end of a file, and the rate is known.
     pub(super) fn num_guessed(&self) -> u32 {
         self.num_rebuilt - if self.is_steady() { self.num_trailing } else { 0 }
     }
@@ -89,7 +93,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn times_rise_and_are_numbers_whatever_is_stated(
+        fn times_are_finite_and_increase_for_all_stamps(
             fps in proptest::option::of(1e-3..1000.0),
             stated in prop::collection::vec(proptest::option::of(prop_oneof![0.0..10.0, any::<f64>()]), 1..60),
         ) {
@@ -101,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_rise_whatever_the_container_says() {
+    fn missing_and_repeated_stamps_are_rebuilt() {
         let mut clock = Clock::new(Some(10.0));
         let stated = [Some(0.0), Some(0.1), Some(0.1), None, Some(0.05), Some(0.7), Some(-1.0)];
         let times: Vec<f64> = stated.iter().map(|&s| clock.advance(s)).collect();
@@ -113,7 +117,7 @@ mod tests {
     }
 
     #[test]
-    fn stamps_behind_the_rebuilt_ones_show_the_pace() {
+    fn stamps_earlier_than_rebuilt_ones_give_the_interval() {
         let mut clock = Clock::new(Some(8.0));
         let times: Vec<f64> =
             [2.3, 2.2, 2.3, 2.4, 2.5, 2.6, 2.7, 2.8].into_iter().map(|s| clock.advance(Some(s))).collect();

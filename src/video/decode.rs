@@ -11,40 +11,40 @@ use crate::scene::Frame;
 /// Properties of a decoded frame before conversion.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct Inspection {
-    /// Its size, pixels, if it differs from the first frame's.
+    /// Size, pixels, if it differs from the first frame's.
     pub(super) other_size: Option<(u32, u32)>,
-    /// Difference from the frame inspected before, if there is one of the same size.
+    /// Difference from the previously inspected frame, if that has the same size.
     pub(super) change: Option<Change>,
-    /// It is interlaced, and its fields differ.
+    /// True if the frame is interlaced and its fields differ.
     pub(super) is_combed: bool,
 }
 
-/// Something that gives frames in order of their index. Stepping is cheap next to making the picture.
+/// Source of frames in order of their index. Stepping is cheap compared with converting the image.
 pub(super) trait Decoder: Send {
-    /// Steps to the next frame; `None` at the end, or where nothing further can be decoded.
+    /// Steps to the next frame; `None` at the end, or if no further frame can be decoded.
     ///
     /// # Errors
-    /// Where the machine is at fault ([`VideoError::is_of_machine`]): the frame may be there another time.
+    /// Only failures of the machine ([`VideoError::is_of_machine`]): the frame may be decodable in another run.
     fn step(&mut self) -> Result<Option<Frame>, VideoError>;
 
-    /// The picture of the frame last stepped to: upright, at the size asked for.
-    fn picture(&mut self) -> Result<RgbImage, VideoError>;
+    /// Image of the current frame: upright, at the requested size.
+    fn image(&mut self) -> Result<RgbImage, VideoError>;
 
-    /// Examines the frame last stepped to without making a picture of it.
+    /// Inspects the current frame without converting its image.
     fn inspect(&mut self) -> Inspection {
         Inspection::default()
     }
 
-    /// Frames stepped to so far.
+    /// Number of frames stepped to so far.
     fn num_stepped(&self) -> u32;
 
-    /// Time stamps among them that had to be guessed.
+    /// Number of guessed time stamps among them.
     fn num_guessed(&self) -> u32 {
         0
     }
 }
 
-/// Steps to the next frame that is chosen.
+/// Steps to the next selected frame.
 ///
 /// # Errors
 /// Those of [`Decoder::step`].

@@ -1,4 +1,4 @@
-//! Why a file is no video that can be decoded.
+//! Diagnosis of files that cannot be decoded as video.
 
 use std::fs::File;
 use std::io::{Seek, SeekFrom};
@@ -9,7 +9,7 @@ use super::mp4::head_at;
 use crate::ffi::ffmpeg::{FfmpegError, Stream, StreamKind};
 use crate::files;
 
-/// Error of a file without a video track, with its other tracks in words.
+/// Error of a file without a video track, with a description of its other tracks.
 pub(super) fn no_pictures(path: &Path, streams: &[Stream]) -> VideoError {
     VideoError::NoPictures { path: path.to_owned(), found: in_words(streams) }
 }
@@ -24,7 +24,7 @@ fn in_words(streams: &[Stream]) -> &'static str {
     }
 }
 
-/// Diagnoses a file that is not opened.
+/// Diagnoses a file that FFmpeg did not open.
 pub(super) fn refused(path: &Path, error: FfmpegError) -> VideoError {
     match error {
         FfmpegError::Open(_) => why_not(path),
@@ -45,9 +45,9 @@ fn why_not(path: &Path) -> VideoError {
 
 /// True if an MP4 or MOV file lacks its index (ISO/IEC 14496-12: the `moov` box); `None` if it has no boxes.
 fn lacks_index(file: &mut File) -> Option<bool> {
-    /// With one of these an MP4 or MOV file begins.
+    /// Possible first boxes of an MP4 or MOV file.
     const FIRST_BOXES: [&[u8; 4]; 6] = [b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip"];
-    /// More than any file has on its outermost level, fragments of a day included.
+    /// Maximum number of top-level boxes, above that of any file, including fragments of a day.
     const MOST_BOXES: usize = 1 << 20;
     let end = file.seek(SeekFrom::End(0)).ok()?;
     let mut at = 0;

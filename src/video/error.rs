@@ -1,4 +1,4 @@
-//! Errors of inputs. Every message names the file, and the remedy where there is one.
+//! Errors of inputs. Every message names the file, and the remedy if there is one.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -7,7 +7,7 @@ use crate::ffi::ffmpeg::FfmpegError;
 use crate::files;
 use crate::image::ImageError;
 
-/// Refuses what is no regular file: FFmpeg would wait for whoever writes into a pipe.
+/// Rejects anything but regular files: FFmpeg would wait for the writer of a pipe.
 ///
 /// # Errors
 /// [`VideoError::Missing`], [`VideoError::Unreadable`].
@@ -16,7 +16,7 @@ pub(super) fn regular(path: &Path) -> Result<(), VideoError> {
 }
 
 impl VideoError {
-    /// For `map_err`: the system refuses to read the path.
+    /// Returns the conversion of a system error on reading the path, for `map_err`.
     pub(super) fn unreadable(path: &Path) -> impl Fn(io::Error) -> Self {
         move |source| match source.kind() {
             io::ErrorKind::NotFound => Self::Missing { path: path.to_owned() },
@@ -24,7 +24,7 @@ impl VideoError {
         }
     }
 
-    /// Returns true if the machine is at fault, and not the input: another time the same frame may be decoded.
+    /// Returns true if the machine is at fault, not the input: another run may decode the same frame.
     pub fn is_of_machine(&self) -> bool {
         matches!(self, Self::Thread(_) | Self::Ffmpeg(FfmpegError::Memory))
     }
@@ -33,7 +33,7 @@ impl VideoError {
 /// Errors of a video or a folder of images.
 #[derive(Debug, thiserror::Error)]
 pub enum VideoError {
-    /// There is nothing at the path.
+    /// The path does not exist.
     #[error("{path}: no such file or folder; check the path", path = path.display())]
     Missing {
         /// The input.
@@ -53,7 +53,7 @@ pub enum VideoError {
         /// The input.
         path: PathBuf,
     },
-    /// No decoder takes the file.
+    /// No demuxer or decoder accepts the file.
     #[error(
         "{path}: not a video that FFmpeg can read; if players show it, convert it (`ffmpeg -i FILE converted.mp4`), or \
          give a folder of JPEG or PNG images",
@@ -71,7 +71,7 @@ pub enum VideoError {
         /// FFmpeg's name of its format.
         format: String,
     },
-    /// A video track that is asked for and not there.
+    /// The requested video track does not exist.
     #[error(
         "{path}: video track {track} does not exist; the file has {count}, counted from 0; give another --video-track, \
          or none",
@@ -80,7 +80,7 @@ pub enum VideoError {
     NoTrack {
         /// The input.
         path: PathBuf,
-        /// The track that was asked for, from 0.
+        /// Requested track, from 0.
         track: u32,
         /// Number of video tracks.
         count: usize,
@@ -95,7 +95,7 @@ pub enum VideoError {
         /// The input.
         path: PathBuf,
     },
-    /// A text or telemetry track that memory does not hold.
+    /// A text or telemetry track exceeds the memory limit.
     #[error(
         "{path}: text or telemetry track larger than {limit}, a quarter of the memory limit; raise --memory-limit",
         path = path.display(), limit = crate::memory::in_words(*limit)
@@ -103,10 +103,10 @@ pub enum VideoError {
     TextTooLarge {
         /// The input.
         path: PathBuf,
-        /// Bytes that it may take.
+        /// Memory limit, bytes.
         limit: u64,
     },
-    /// No stream of moving pictures.
+    /// No video stream.
     #[error("{path}: no video track, {found}; give the video that it belongs to", path = path.display())]
     NoPictures {
         /// The input.
@@ -114,7 +114,7 @@ pub enum VideoError {
         /// Kind of file found.
         found: &'static str,
     },
-    /// The pictures are coded in a way that the installed FFmpeg cannot decode.
+    /// The installed FFmpeg has no decoder for the codec.
     #[error(
         "{path}: no decoder for {coding} in the FFmpeg of this machine; convert the file where there is one (`ffmpeg \
          -i FILE converted.mp4`)",
@@ -123,10 +123,10 @@ pub enum VideoError {
     NoDecoder {
         /// The input.
         path: PathBuf,
-        /// FFmpeg's name of the coding.
+        /// FFmpeg's name of the codec.
         coding: String,
     },
-    /// The container is readable, but no picture comes out of it.
+    /// The container is readable, but no frame can be decoded.
     #[error(
         "{path}: no frame could be decoded; the file is damaged or has no images",
         path = path.display()
@@ -143,7 +143,7 @@ pub enum VideoError {
         /// Content found, and the remedy.
         found: String,
     },
-    /// The options leave no frame over.
+    /// The options select no frame.
     #[error(
         "{path}: --start, --end and --every select no frame; the input runs from {first} to {last}",
         path = path.display()
@@ -151,12 +151,12 @@ pub enum VideoError {
     NothingChosen {
         /// The input.
         path: PathBuf,
-        /// The first frame, in words: its time, or its index where no time is known.
+        /// First frame, as text: its time, or its index if no time is known.
         first: String,
         /// The last frame.
         last: String,
     },
-    /// The options contradict one another, or one cannot be worked with.
+    /// Options contradict one another, or one is invalid.
     #[error(transparent)]
     Option(#[from] crate::checks::OptionError),
     /// One frame cannot be decoded.
@@ -189,13 +189,13 @@ pub enum VideoError {
         /// Height of this frame.
         found_height: u32,
     },
-    /// A picture could not be resized or converted.
+    /// An image cannot be resized or converted.
     #[error(transparent)]
     Image(#[from] ImageError),
-    /// No thread can be had to decode on.
+    /// The decoding thread cannot be started.
     #[error("decoding thread cannot be started: {0}; too many threads, or out of memory")]
     Thread(io::Error),
-    /// FFmpeg failed where input has no part in it, as far as can be determined.
+    /// FFmpeg failed for a reason that is not attributed to the input.
     #[error("FFmpeg: {0}")]
     Ffmpeg(#[from] FfmpegError),
 }

@@ -1,4 +1,4 @@
-//! Camera of a photograph by its EXIF block.
+//! Camera, focal length, orientation and time of a photograph from its EXIF block.
 
 use std::io::BufReader;
 use std::ops::RangeInclusive;
@@ -9,10 +9,11 @@ use exif::{DateTime, Exif, In, Tag, Value};
 
 use crate::files;
 
-/// Longer side of a picture on film, to which `FocalLengthIn35mmFilm` refers, millimetres. Equivalent are focal lengths
-/// that show as much over the diagonal of a sensor as over that of a film frame, 43.27 mm. Of a sensor of 3:2, as film
-/// has it, the longer side represents 36 mm, of one of 4:3 for 34.61. A picture of another shape was cut out of one or
-/// the other: 35.3, between them.
+/// Longer side of the film frame to which `FocalLengthIn35mmFilm` refers, millimeters.
+///
+/// Focal lengths are equivalent if they have the same field of view over the diagonal of the sensor as over that of a
+/// film frame, 43.27 mm. The longer side of a 3:2 sensor, the shape of film, corresponds to 36 mm, that of a 4:3 sensor
+/// to 34.61 mm. An image of another shape was cropped from one or the other: 35.3 mm, between them.
 fn film_side_mm(width: u32, height: u32) -> f64 {
     let aspect = f64::from(width.max(height)) / f64::from(width.min(height).max(1));
     let is_near = |shape: f64| (aspect / shape - 1.0).abs() < SHAPE_TOLERANCE;
@@ -25,17 +26,18 @@ fn film_side_mm(width: u32, height: u32) -> f64 {
     }
 }
 
-/// Focal lengths that lenses have, in longer sides of the picture: from 4 mm on film to 3.6 m.
+/// Plausible focal lengths, in units of the longer image side: from 4 mm on film to 3.6 m.
 const LENSES: RangeInclusive<f64> = 0.1..=100.0;
 
-/// More than rounding of the sides does to the shape of small pictures.
+/// Tolerance of the aspect ratio: above the effect of rounding the sides of small images.
 const SHAPE_TOLERANCE: f64 = 0.02;
 
-/// The EXIF block of an image file; `None` without one. Of a block with flaws, as many cameras write it, the readable
-/// fields.
+/// Reads the EXIF block of an image file; `None` without one.
+///
+/// Many cameras write blocks with flaws: their readable fields are returned.
 ///
 /// # Errors
-/// Why a block cannot be read at all.
+/// The reason why a block cannot be read at all.
 pub(super) fn read(path: &Path) -> Result<Option<Exif>, String> {
     let Ok(file) = files::open_within_memory(path) else { return Ok(None) };
     let read = exif::Reader::new().continue_on_error(true).read_from_container(&mut BufReader::new(file));
@@ -54,24 +56,24 @@ pub(super) fn orientation(exif: &Exif) -> Orientation {
         .unwrap_or(Orientation::NoTransforms)
 }
 
-/// Camera and settings by the block: images in which all of it is the same were taken with one focal length.
+/// Camera and settings from the block. Images with equal values were taken with the same focal length.
 pub(super) fn camera(exif: &Exif) -> Vec<String> {
     const TAGS: [Tag; 5] = [Tag::Make, Tag::Model, Tag::LensModel, Tag::FocalLength, Tag::FocalLengthIn35mmFilm];
     let said = |tag| exif.get_field(tag, In::PRIMARY).map(|field| field.display_value().to_string());
     TAGS.map(|tag| said(tag).unwrap_or_default()).to_vec()
 }
 
-/// Focal length in pixels of a picture of `width` × `height`; `None` where the block does not say.
+/// Focal length in pixels of an image of `width` × `height`; `None` if the block has none.
 ///
-/// Nothing of a picture that was cut out of another, which shows in its proportions. From `FocalLengthIn35mmFilm`, else
-/// from `FocalLength` and the sensor's pixel pitch, provided that the picture still has the size that the camera gave
-/// it. A focal length that no lens has is none.
+/// The value comes from `FocalLengthIn35mmFilm`, else from `FocalLength` and the sensor's pixel pitch, provided that
+/// the image still has the size that the camera wrote. A cropped image, recognized by its aspect ratio, gives `None`,
+/// and so does an implausible focal length.
 pub(super) fn focal_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     let longer_px = f64::from(width.max(height));
     stated_px(exif, width, height).filter(|focal_px| LENSES.contains(&(focal_px / longer_px)))
 }
 
-/// Focal length in pixels of a picture of `width` × `height`, by the one that shows as much on film, millimeters.
+/// Focal length in pixels of an image of `width` × `height`, from its 35 mm equivalent, millimeters.
 pub fn focal_px_of_equivalent(equivalent_mm: f64, width: u32, height: u32) -> f64 {
     equivalent_mm / film_side_mm(width, height) * f64::from(width.max(height))
 }
@@ -95,34 +97,35 @@ fn stated_px(exif: &Exif, width: u32, height: u32) -> Option<f64> {
     Some(focal_mm * pixels_per_unit / unit_mm * longer_px / original_px)
 }
 
-/// Returns true if the image's proportions differ from those that the camera wrote, where they are stated.
+/// Returns true if the aspect ratio differs from the one that the camera wrote, if it wrote one.
 fn was_cut(exif: &Exif, width: u32, height: u32) -> bool {
     let aspect = |a: f64, b: f64| a.max(b) / a.min(b);
     let Some([x, y]) = recorded_px(exif) else { return false };
     (aspect(x, y) / aspect(f64::from(width), f64::from(height)) - 1.0).abs() > SHAPE_TOLERANCE
 }
 
-/// Width and height that the camera wrote.
+/// Image width and height according to the camera.
 fn recorded_px(exif: &Exif) -> Option<[f64; 2]> {
     Some([number(exif, Tag::PixelXDimension)?, number(exif, Tag::PixelYDimension)?])
 }
 
-/// When a photograph was taken.
+/// Capture time of a photograph.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Taken {
+pub struct CaptureTime {
     /// Local date and time: `2014-05-01T10:00:00.25`.
     pub local: String,
-    /// Local time minus universal time, as the block states it: `+02:00`.
+    /// Local time minus UTC, as written in the block: `+02:00`.
     pub utc_offset: Option<String>,
 }
 
-/// When the photograph was taken (`DateTimeOriginal`, `SubSecTimeOriginal`, `OffsetTimeOriginal`); `None` where the
-/// block does not say.
-pub fn taken(path: &Path) -> Option<Taken> {
-    taken_by(&read(path).ok()??)
+/// Capture time of a photograph; `None` if its EXIF block has none.
+///
+/// Uses `DateTimeOriginal`, `SubSecTimeOriginal` and `OffsetTimeOriginal`.
+pub fn capture_time(path: &Path) -> Option<CaptureTime> {
+    capture_time_of(&read(path).ok()??)
 }
 
-fn taken_by(exif: &Exif) -> Option<Taken> {
+fn capture_time_of(exif: &Exif) -> Option<CaptureTime> {
     let ascii = |tag| match &exif.get_field(tag, In::PRIMARY)?.value {
         Value::Ascii(texts) => Some(texts.first()?.as_slice()),
         _ => None,
@@ -131,13 +134,13 @@ fn taken_by(exif: &Exif) -> Option<Taken> {
     let DateTime { year, month, day, hour, minute, second, .. } = stated;
     let small = |value: u8| i8::try_from(value).ok();
     let date = jiff::civil::Date::new(i16::try_from(year).ok()?, small(month)?, small(day)?).ok()?;
-    // A leap second counts as the one before it.
+    // A leap second counts as the preceding second.
     let time = jiff::civil::Time::new(small(hour)?, small(minute)?, small(second)?.min(59), 0).ok()?;
     let digits = ascii(Tag::SubSecTimeOriginal).map(|text| String::from_utf8_lossy(text).trim().to_owned());
     let fraction = digits.filter(|digits| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit()));
     let fraction = fraction.map_or_else(String::new, |digits| format!(".{digits}"));
     let utc_offset = ascii(Tag::OffsetTimeOriginal).map(|text| String::from_utf8_lossy(text).trim().to_owned());
-    Some(Taken { local: format!("{date}T{time}{fraction}"), utc_offset })
+    Some(CaptureTime { local: format!("{date}T{time}{fraction}"), utc_offset })
 }
 
 /// A positive number.
@@ -192,12 +195,12 @@ mod tests {
             (Tag::PixelXDimension, Value::Long(vec![4000])),
             (Tag::PixelYDimension, Value::Long(vec![3000])),
         ]);
-        // 4000 pixels per centimetre: 8.8 mm are 3520 pixels, half of that in the picture of half the size.
+        // 4000 pixels per centimeter: 8.8 mm are 3520 pixels, half of that in the image of half the size.
         assert!((focal_px(&exif, 2000, 1500).unwrap() - 1760.0).abs() < 1e-9);
     }
 
     #[test]
-    fn a_picture_that_was_cut_has_no_focal_length() {
+    fn a_cropped_image_has_no_focal_length() {
         let exif = block(&[
             (Tag::FocalLengthIn35mmFilm, Value::Short(vec![36])),
             (Tag::PixelXDimension, Value::Long(vec![4000])),
@@ -209,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn of_a_block_with_a_flaw_the_rest_is_read() {
+    fn readable_fields_of_a_flawed_block_are_read() {
         let fields = [(Tag::FocalLengthIn35mmFilm, Value::Short(vec![24])), (Tag::Orientation, Value::Short(vec![6]))];
         let mut bytes = block(&fields).buf().to_vec();
         let number = |bytes: &[u8], at: usize| u32::from_be_bytes(bytes[at..at + 4].try_into().unwrap()) as usize;
@@ -217,7 +220,7 @@ mod tests {
         let first = number(&bytes, 4);
         let mut entries = (0..count(&bytes, first)).map(|k| first + 2 + 12 * k);
         let pointer = entries.find(|&at| bytes[at..at + 2] == [0x87, 0x69]).unwrap();
-        // Behind the directory of the camera's data another one is announced, where none may be.
+        // A further directory is announced after the one of the camera's data, where none is allowed.
         let directory = number(&bytes, pointer + 8);
         let next = directory + 2 + 12 * count(&bytes, directory);
         bytes[next..next + 4].copy_from_slice(&0x4000_0000u32.to_be_bytes());
@@ -232,7 +235,7 @@ mod tests {
     }
 
     #[test]
-    fn of_damaged_blocks_what_is_said_is_a_number() {
+    fn values_of_damaged_blocks_are_numbers() {
         let rational = |num, denom| Value::Rational(vec![Rational { num, denom }]);
         let fields = [
             (Tag::Make, Value::Ascii(vec![b"maker".to_vec()])),
@@ -254,7 +257,7 @@ mod tests {
             let Ok(exif) = exif::Reader::new().read_raw(bytes) else { continue };
             num_read += 1;
             assert!(focal_px(&exif, 4000, 3000).is_none_or(|focal| focal.is_finite() && focal > 0.0));
-            let _ = (orientation(&exif), camera(&exif), taken_by(&exif));
+            let _ = (orientation(&exif), camera(&exif), capture_time_of(&exif));
         }
         assert!(num_read > 1000, "{num_read}");
     }
@@ -263,15 +266,15 @@ mod tests {
     fn the_time_of_a_photograph_is_local_and_has_its_offset() {
         let text = |text: &str| Value::Ascii(vec![text.as_bytes().to_vec()]);
         let original = (Tag::DateTimeOriginal, text("2014:05:01 10:00:07"));
-        let found = taken_by(&block(std::slice::from_ref(&original))).unwrap();
+        let found = capture_time_of(&block(std::slice::from_ref(&original))).unwrap();
         assert_eq!((found.local.as_str(), found.utc_offset), ("2014-05-01T10:00:07", None));
         let more = [(Tag::SubSecTimeOriginal, text("25 ")), (Tag::OffsetTimeOriginal, text("+02:00"))];
-        let found = taken_by(&block(&[&[original][..], &more].concat())).unwrap();
+        let found = capture_time_of(&block(&[&[original][..], &more].concat())).unwrap();
         assert_eq!((found.local.as_str(), found.utc_offset.as_deref()), ("2014-05-01T10:00:07.25", Some("+02:00")));
         for wrong in
             ["", "    :  :     :  :  ", "0000:00:00 00:00:00", "2014:13:01 10:00:00", "2014:02:30 10:00:00", "x"]
         {
-            assert_eq!(taken_by(&block(&[(Tag::DateTimeOriginal, text(wrong))])), None, "{wrong}");
+            assert_eq!(capture_time_of(&block(&[(Tag::DateTimeOriginal, text(wrong))])), None, "{wrong}");
         }
     }
 

@@ -1,34 +1,35 @@
 //! Interlaced video.
 //!
-//! An interlaced frame holds two fields, the even and the odd rows, that were exposed one after the other. Where camera
-//! or object moved in between, edges are combed. One field alone is a true image of one instant: the upper one is kept,
-//! and the rows of the other are interpolated between its rows, at their own positions, so that no point moves.
+//! An interlaced frame holds two fields, the even and the odd rows, that were exposed one after the other. If the
+//! camera or an object moved in between, edges are combed. A single field is an image of one instant. The upper field
+//! is kept, and the rows of the lower one are interpolated at their own positions: no point moves.
 //!
-//! The flag alone does not decide. Progressive video is often stored as interlaced (`PsF`), and loses half its rows
-//! without need. Rows of a natural image differ less from their neighbours than from the rows after them; where it is
-//! the other way round, the neighbour is of another instant.
+//! The flag alone does not decide: progressive video is often stored as interlaced (`PsF`), and would lose half its
+//! rows without need. Rows of a natural image differ less from adjacent rows than from rows two apart. If it is the
+//! other way round, the adjacent row belongs to another instant.
 
 use ::image::RgbImage;
 
 use crate::ffi::ffmpeg::Luma;
 
-/// Side of the blocks in which rows are compared, pixels: less than the smallest vehicle that is tracked.
+/// Side of the blocks in which rows are compared, pixels: smaller than the smallest tracked vehicle.
 const BLOCK: usize = 16;
-/// Mean difference of rows, gray levels, from which a block has edges enough to tell: above the noise of a night
-/// recording.
+/// Minimum mean difference of rows of a block with enough edges, gray levels: above the noise of a night recording.
 const MIN_DIFFERENCE: u32 = 4;
-/// A block is combed if neighboring rows differ by so many tenths of what rows two apart do. Noise alone gives 10, with
-/// a spread of 0.6 in a block.
+/// Difference of adjacent rows of a combed block, in tenths of the difference of rows two apart.
+///
+/// Noise alone gives 10, with a spread of 0.6 in a block.
 const COMBED_TENTHS: u32 = 13;
-/// Share of combed blocks, among those with edges, of a combed frame. Of five progressive videos no frame had more than
-/// 0.1 %, of their fields no frame less than 15 %.
+/// Minimum share of combed blocks, among those with edges, of a combed frame.
+///
+/// No frame of five progressive videos had more than 0.1 %, no frame of their fields less than 15 %.
 const COMBED_SHARE: f64 = 0.01;
 
-/// Decides if the two fields of a frame show different instants.
+/// Returns true if the two fields of a frame show different instants.
 pub(super) fn is_combed(luma: &Luma) -> bool {
     let rows: Vec<&[u8]> = luma.rows().collect();
     let (mut num_edged, mut num_combed) = (0u32, 0u32);
-    // The last rows have none two below.
+    // The last rows have no row two below.
     for top in (0..rows.len().saturating_sub(BLOCK + 1)).step_by(BLOCK) {
         for left in (0..(luma.width + 1).saturating_sub(BLOCK)).step_by(BLOCK) {
             let block = |row: usize| &rows[row][left..left + BLOCK];
@@ -50,7 +51,7 @@ fn difference(a: &[u8], b: &[u8]) -> u32 {
     a.iter().zip(b).map(|(a, b)| u32::from(a.abs_diff(*b))).sum()
 }
 
-/// A frame of its upper field.
+/// Interpolates a frame from its upper field.
 ///
 /// * `field` – the even rows, from row 0.
 /// * `height` – rows of the frame: twice those of the field, or one less.
@@ -85,7 +86,7 @@ mod tests {
     use super::*;
     use crate::math::seeded_rng;
 
-    /// Soft stripes, moved to the right.
+    /// Smooth stripes, shifted to the right.
     fn brightness(x: f64, y: f64) -> u8 {
         (128.0 + 60.0 * (x / 7.0 + y / 19.0).sin() + 40.0 * (x / 31.0 - y / 11.0).cos()) as u8
     }

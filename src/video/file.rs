@@ -18,11 +18,11 @@ use crate::scene::{Frame, FrameId, Warning};
 /// Metadata of the container.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Container {
-    /// Frames per second, if it is a rate that can be believed.
+    /// Frames per second, if plausible.
     pub(super) fps: Option<f64>,
-    /// Number of frames: as the container counts them, else its length times its rate.
+    /// Number of frames: the container's count, else its duration times its rate.
     pub(super) num_frames: Option<u32>,
-    /// Rotation that is asked for, degrees clockwise, from 0 to 359.
+    /// Rotation to be applied, degrees clockwise, from 0 to 359.
     pub(super) rotation_deg: i32,
     /// Number of the video track, from 0.
     pub(super) track: u32,
@@ -33,13 +33,13 @@ pub(super) struct Container {
 /// Sizes of a frame, upright, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Sizes {
-    /// As it is stored.
+    /// Stored size.
     pub(super) stored: (u32, u32),
-    /// With square pixels.
+    /// Size with square pixels.
     pub(super) shown: (u32, u32),
 }
 
-/// Rates beyond this are a time base mistaken for a rate.
+/// Maximum plausible frame rate; a higher one is a time base mistaken for a rate.
 const MAX_FPS: f64 = 1000.0;
 
 /// A video that is being decoded.
@@ -49,7 +49,7 @@ pub(super) struct Video {
     decoder: ffmpeg::Decoder,
     packet: Packet,
     converter: RgbConverter,
-    /// Time stamp that counts as zero, in ticks; that of the first picture where the container states no start.
+    /// Time stamp of time zero, in ticks; that of the first frame if the container has no start time.
     origin: Option<i64>,
 }
 
@@ -57,10 +57,10 @@ impl Video {
     /// Opens a video track.
     ///
     /// * `track` – as [`super::Options::track`].
-    /// * `growth` – of a file that is still written.
+    /// * `growth` – growth of a file that is still being written.
     ///
     /// # Errors
-    /// What [`diagnosis`] finds, where FFmpeg does not take the file or there is no such track;
+    /// The error found by [`diagnosis`] if FFmpeg rejects the file or there is no such track;
     /// [`VideoError::NoDecoder`]; [`VideoError::Ffmpeg`].
     pub(super) fn open(
         path: &Path,
@@ -93,7 +93,7 @@ impl Video {
         Container { fps, num_frames, rotation_deg: stream.rotation_deg, track: self.chosen.track, remarks }
     }
 
-    /// Goes to the next picture and gives the time that is stated for it, seconds; `None` at the end.
+    /// Advances to the next image and returns its time stamp, seconds, if it has one; `None` at the end.
     fn advance(&mut self) -> Result<Option<Option<f64>>, FfmpegError> {
         if !self.decoder.advance(&mut self.file, &mut self.packet)? {
             return Ok(None);
@@ -104,7 +104,7 @@ impl Video {
         })))
     }
 
-    /// Size of the picture as it is stored with square pixels, before it is turned.
+    /// Size of the image with square pixels, before rotation.
     fn squared(&self) -> (u32, u32) {
         let aspect = self.file.pixel_aspect(self.chosen.stream.index, &self.decoder);
         shape::squared(self.decoder.size(), aspect)
@@ -116,36 +116,36 @@ impl Video {
         Sizes { stored: upright(self.decoder.size()), shown: upright(self.squared()) }
     }
 
-    /// Decides if the picture is declared interlaced and its fields differ.
+    /// Returns true if the image is declared interlaced and its fields differ.
     fn is_combed(&self) -> bool {
         let is_declared = self.chosen.stream.is_interlaced || self.decoder.is_interlaced();
         is_declared && self.decoder.luma(1).is_some_and(|luma| fields::is_combed(&luma))
     }
 
-    /// The picture: of one instant, with square pixels, upright.
-    fn picture(&mut self) -> Result<RgbImage, VideoError> {
-        let mut picture = match self.is_combed() {
+    /// Converts the image: of one instant, with square pixels, upright.
+    fn image(&mut self) -> Result<RgbImage, VideoError> {
+        let mut image = match self.is_combed() {
             true => fields::filled(&self.converter.convert_upper_field(&self.decoder)?, self.decoder.size().1),
             false => self.converter.convert(&self.decoder)?,
         };
         let (width, height) = self.squared();
-        if (width, height) != picture.dimensions() {
-            picture = resize_rgb(&picture, width, height)?;
+        if (width, height) != image.dimensions() {
+            image = resize_rgb(&image, width, height)?;
         }
         Ok(match self.chosen.stream.rotation_deg {
-            90 => imageops::rotate90(&picture),
-            180 => imageops::rotate180(&picture),
-            270 => imageops::rotate270(&picture),
-            _ => picture,
+            90 => imageops::rotate90(&image),
+            180 => imageops::rotate180(&image),
+            270 => imageops::rotate270(&image),
+            _ => image,
         })
     }
 
-    /// Sizes of the first picture; `None` if there is none.
+    /// Sizes of the first image; `None` if there is none.
     pub(super) fn first_sizes(mut self) -> Result<Option<Sizes>, VideoError> {
         if self.advance()?.is_none() {
             return Ok(None);
         }
-        // Formats of pixels that are not known are found out here.
+        // Unknown pixel formats are detected here.
         self.converter.convert(&self.decoder)?;
         Ok(Some(self.sizes()))
     }
@@ -157,11 +157,11 @@ pub(super) struct FileDecoder {
     video: Video,
     clock: Clock,
     next: u32,
-    /// Size that every decoded picture must have, upright and with square pixels.
+    /// Required size of every decoded image, upright and with square pixels.
     size: (u32, u32),
-    /// Size that it is brought to.
+    /// Size after resizing.
     target: (u32, u32),
-    /// Of the frame that was inspected last.
+    /// Luma of the last inspected frame.
     luma: Option<Luma>,
 }
 
@@ -189,9 +189,9 @@ impl Decoder for FileDecoder {
         Ok(Some(Frame { id: FrameId(id), name: format!("{id:06}.jpg"), time_s: self.clock.advance(stated_s) }))
     }
 
-    fn picture(&mut self) -> Result<RgbImage, VideoError> {
+    fn image(&mut self) -> Result<RgbImage, VideoError> {
         let (path, frame) = (|| self.path.clone(), self.next.saturating_sub(1));
-        // Before it is made: a size that a damaged header states need not fit into memory.
+        // Checked before the conversion: the size in a damaged header may exceed the memory.
         let found = self.video.sizes().shown;
         if found != self.size {
             let ((width, height), (found_width, found_height)) = (self.size, found);
@@ -201,11 +201,11 @@ impl Decoder for FileDecoder {
             VideoError::Ffmpeg(FfmpegError::Memory) => error,
             error => VideoError::Frame { path: path(), frame, reason: error.to_string() },
         };
-        let picture = self.video.picture().map_err(failed)?;
+        let image = self.video.image().map_err(failed)?;
         if found == self.target {
-            return Ok(picture);
+            return Ok(image);
         }
-        Ok(resize_rgb(&picture, self.target.0, self.target.1)?)
+        Ok(resize_rgb(&image, self.target.0, self.target.1)?)
     }
 
     fn inspect(&mut self) -> Inspection {

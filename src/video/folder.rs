@@ -17,18 +17,20 @@ use crate::files;
 use crate::image::resize_rgb;
 use crate::scene::{Frame, FrameId, Topic, Warning};
 
-/// Extensions that are taken for images, in lower case.
+/// Extensions of supported images, in lower case.
 const EXTENSIONS: [&str; 3] = ["jpg", "jpeg", "png"];
-/// Extensions of images that are not read.
+/// Extensions of unsupported images.
 const UNREAD: [&str; 20] = [
     "arw", "avif", "bmp", "cr2", "cr3", "dng", "exr", "gpr", "heic", "heif", "jp2", "jxl", "nef", "orf", "raf", "rw2",
     "srw", "tif", "tiff", "webp",
 ];
 
-/// File systems take names of 255 bytes, and a mask is called like its image with `.png` behind it.
+/// Maximum length of an image name, bytes.
+///
+/// File systems limit names to 255 bytes, and a mask's name is that of its image followed by `.png`.
 const MAX_NAME_BYTES: usize = 255 - ".png".len();
 
-/// An image of a folder whose header is in order.
+/// Image of a folder with a valid header.
 #[derive(Clone, Debug)]
 pub(super) struct Entry {
     /// Index among all images of the folder.
@@ -36,43 +38,45 @@ pub(super) struct Entry {
     path: PathBuf,
     name: String,
     orientation: Orientation,
-    /// Size as it is given out, before resizing.
+    /// Size after rotation, before resizing.
     size: (u32, u32),
     /// Index in [`Listing::cameras`].
     camera: usize,
 }
 
-/// Camera of some of the images: one size, one orientation, and one camera and focal length by their EXIF data.
+/// Camera of some of the images: same size, orientation, and EXIF camera and focal length.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Taken {
-    /// Size as it is given out, before resizing.
+pub(super) struct ImageGroup {
+    /// Size after rotation, before resizing.
     pub(super) size: (u32, u32),
-    /// Focal length that the first one's EXIF block states, pixels of that size.
+    /// Focal length from the EXIF block of the first image, pixels of that size.
     pub(super) exif_focal_px: Option<f64>,
-    /// Indices of the images among all of the folder.
+    /// Indices of the images among all images of the folder.
     pub(super) ids: Vec<u32>,
     orientation: Orientation,
     camera: Vec<String>,
-    /// Why its EXIF block cannot be read, where there is one.
+    /// Reason why the EXIF block cannot be read, if it cannot.
     exif_flaw: Option<String>,
 }
 
-/// The images of a folder that can be used together.
+/// Images of a folder that can be used together.
 #[derive(Clone, Debug)]
 pub(super) struct Listing {
     pub(super) entries: Vec<Entry>,
     /// Number of files with an image's extension.
     pub(super) num_files: u32,
-    /// Cameras, in order of their first image; one if all are to have one size.
-    pub(super) cameras: Vec<Taken>,
+    /// Cameras, in order of their first image; one if all images must have the same size.
+    pub(super) cameras: Vec<ImageGroup>,
     /// Skipped images, with the reasons.
     pub(super) warnings: Vec<Warning>,
 }
 
-/// Lists a folder in natural order (`img2` before `img10`), reading headers, and where pictures end. What is called
-/// like an image and is none keeps its place in the count, so that the others keep their indices and times.
+/// Lists a folder in natural order (`img2` before `img10`).
 ///
-/// Where all are to have one size, it is that of most of them.
+/// Reads headers, and checks that JPEG files are complete. A file that has an image extension but is no image still
+/// counts: the indices and times of the others do not change.
+///
+/// If all images must have the same size, it is the most common one.
 pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Listing, VideoError> {
     let Contents { mut names, others, unread, .. } = contents(path)?;
     let skipped = skipped(path, &names, unread);
@@ -82,15 +86,15 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
     let mut found = Vec::new();
     for (id, name) in (0u32..).zip(names) {
         let file = path.join(&name.text);
-        match name.flaw.map_or_else(|| picture(id, &file, turning), Err) {
-            Ok(taken) => found.push((id, file, name.text, taken)),
+        match name.flaw.map_or_else(|| image_group(id, &file, turning), Err) {
+            Ok(group) => found.push((id, file, name.text, group)),
             Err(reason) => {
                 let text = format!("{}: skipped, cannot be read: {reason}", file.display());
                 listing.warnings.push(Topic::ImageUnreadable.warning(text));
             }
         }
     }
-    let flawed = || found.iter().filter_map(|(_, file, _, taken)| Some((file, taken.exif_flaw.as_ref()?)));
+    let flawed = || found.iter().filter_map(|(_, file, _, group)| Some((file, group.exif_flaw.as_ref()?)));
     if let Some((file, flaw)) = flawed().next() {
         let (file, count) = (file.display(), flawed().count());
         listing.warnings.push(Topic::ExifUnreadable.warning(format!(
@@ -98,15 +102,15 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
         )));
     }
     let common = match cameras {
-        Cameras::One => commonest(found.iter().map(|(.., taken)| taken.size)),
+        Cameras::One => commonest(found.iter().map(|(.., group)| group.size)),
         Cameras::Several => None,
     };
-    for (id, path, name, taken) in found {
-        let (size, orientation) = (taken.size, taken.orientation);
+    for (id, path, name, group) in found {
+        let (size, orientation) = (group.size, group.orientation);
         match common.filter(|common| *common != size) {
             Some(common) => listing.warnings.push(of_another_size(&path, size, common, "most images have")),
             None => {
-                let camera = listing.camera_of(taken, cameras);
+                let camera = listing.camera_of(group, cameras);
                 listing.entries.push(Entry { id, path, name, orientation, size, camera });
             }
         }
@@ -119,7 +123,7 @@ pub(super) fn list(path: &Path, turning: Turning, cameras: Cameras) -> Result<Li
     Ok(listing)
 }
 
-/// Says which images of the folder are of kinds that are not read, those aside that lie there as JPEG or PNG as well.
+/// Warns of images in unsupported formats, except those that also exist as JPEG or PNG.
 fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<Warning> {
     let stem = |name: &str| Path::new(name).with_extension("").to_string_lossy().to_lowercase();
     let read: BTreeSet<String> = names.iter().map(|name| stem(&name.text)).collect();
@@ -135,16 +139,16 @@ fn skipped(path: &Path, names: &[Name], unread: Vec<String>) -> Option<Warning> 
     )))
 }
 
-/// Camera of an image by its header and its EXIF data.
+/// Camera of an image from its header and EXIF data.
 ///
 /// # Errors
-/// Why it cannot be used.
-fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
+/// The reason why the image cannot be used.
+fn image_group(id: u32, file: &Path, turning: Turning) -> Result<ImageGroup, String> {
     let stored = header(file)?;
     let is_png = file.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png"));
     let (exif, exif_flaw) = match exif::read(file) {
         Ok(exif) => (exif, None),
-        // A PNG that is cut off is named when it is decoded.
+        // A truncated PNG file is reported when it is decoded.
         Err(flaw) => (None, (!is_png).then_some(flaw)),
     };
     let orientation = match turning {
@@ -152,7 +156,7 @@ fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
         Turning::Auto | Turning::Upright => exif.as_ref().map_or(Orientation::NoTransforms, exif::orientation),
     };
     let size = upright(stored, orientation);
-    Ok(Taken {
+    Ok(ImageGroup {
         size,
         exif_focal_px: exif.as_ref().and_then(|e| exif::focal_px(e, size.0, size.1)),
         ids: vec![id],
@@ -162,7 +166,7 @@ fn picture(id: u32, file: &Path, turning: Turning) -> Result<Taken, String> {
     })
 }
 
-/// Most common size; of equally common ones the first.
+/// Most common size; the first one of equally common sizes.
 fn commonest(sizes: impl Iterator<Item = (u32, u32)>) -> Option<(u32, u32)> {
     let mut counts: Vec<((u32, u32), usize)> = Vec::new();
     for size in sizes {
@@ -175,9 +179,9 @@ fn commonest(sizes: impl Iterator<Item = (u32, u32)>) -> Option<(u32, u32)> {
     counts.into_iter().find(|(_, count)| *count == most).map(|(size, _)| size)
 }
 
-/// Why an image is left out, with what to do.
+/// Warning about an image that is skipped because of its size, with the remedy.
 ///
-/// * `whose` – which images have the size that it should have, and `have` or `has`.
+/// * `whose` – images with the expected size, followed by `have` or `has`.
 pub(super) fn of_another_size(
     file: &Path,
     (width, height): (u32, u32),
@@ -193,7 +197,7 @@ pub(super) fn of_another_size(
 }
 
 impl Listing {
-    /// Quarter turns, clockwise, of the picture of a frame; `None` if it is mirrored as well.
+    /// Quarter turns, clockwise, of the image of a frame; `None` if it is mirrored as well.
     pub(super) fn quarter_turns(&self, frame: FrameId) -> Option<u8> {
         let entry = self.entries.iter().find(|entry| entry.id == frame.0)?;
         match entry.orientation {
@@ -205,28 +209,28 @@ impl Listing {
         }
     }
 
-    /// Which camera took an image, a new one if need be.
-    fn camera_of(&mut self, taken: Taken, cameras: Cameras) -> usize {
-        let is_same = |known: &Taken| match cameras {
+    /// Index of the camera of an image; adds a new camera if none matches.
+    fn camera_of(&mut self, group: ImageGroup, cameras: Cameras) -> usize {
+        let is_same = |known: &ImageGroup| match cameras {
             Cameras::One => true,
             Cameras::Several => {
-                (known.size, known.orientation, &known.camera) == (taken.size, taken.orientation, &taken.camera)
+                (known.size, known.orientation, &known.camera) == (group.size, group.orientation, &group.camera)
             }
         };
         match self.cameras.iter().position(is_same) {
             Some(camera) => {
-                self.cameras[camera].ids.extend(taken.ids);
+                self.cameras[camera].ids.extend(group.ids);
                 camera
             }
             None => {
-                self.cameras.push(taken);
+                self.cameras.push(group);
                 self.cameras.len() - 1
             }
         }
     }
 }
 
-/// A word where pictures are stored otherwise than they stand: the models speak of upright pictures.
+/// Warns of images that are not stored upright: models refer to upright images.
 fn turned(entries: &[Entry]) -> Option<Warning> {
     let is_turned = |entry: &&Entry| entry.orientation != Orientation::NoTransforms;
     let first = entries.iter().find(is_turned)?;
@@ -239,24 +243,24 @@ fn turned(entries: &[Entry]) -> Option<Warning> {
     )))
 }
 
-/// The files of a folder, hidden ones aside.
+/// Files of a folder, without hidden ones.
 #[derive(Default)]
 struct Contents {
-    /// Those that are called like images.
+    /// Files with an image extension.
     names: Vec<Name>,
     /// Number of other files, by their extension in lower case.
     others: BTreeMap<String, usize>,
-    /// Names of images of kinds that are not read.
+    /// Names of images in unsupported formats.
     unread: Vec<String>,
-    /// Names of its folders.
+    /// Names of the subfolders.
     folders: Vec<String>,
 }
 
-/// Something that is called like an image.
+/// Directory entry with an image extension.
 struct Name {
-    /// As it is shown: signs that are no text are replaced.
+    /// Name as text; invalid characters are replaced.
     text: String,
-    /// Why it is none, where that can be determined without opening it.
+    /// Reason why it is unusable, if that can be determined without opening it.
     flaw: Option<String>,
 }
 
@@ -280,12 +284,12 @@ impl Name {
     }
 }
 
-/// Returns true if the files of models cannot hold a name.
+/// Returns true if model files cannot store a name.
 fn is_unwritable(name: &str) -> bool {
     name.trim() != name || name.contains(['\n', '\r', '\0'])
 }
 
-/// The files of a folder; where no image lies in it, those of its folders, whose names go before theirs.
+/// Lists the files of a folder; if it has no images, also those of its subfolders, with the subfolder's name as prefix.
 fn contents(path: &Path) -> Result<Contents, VideoError> {
     let mut contents = directly_in(path)?;
     if contents.names.is_empty() {
@@ -326,7 +330,7 @@ fn directly_in(path: &Path) -> Result<Contents, VideoError> {
     Ok(contents)
 }
 
-/// Description of other files than images, with the remedy.
+/// Description of the files of a folder without images, with the remedy.
 fn described(others: &BTreeMap<String, usize>) -> String {
     const VIDEOS: [&str; 9] = ["mp4", "mov", "avi", "mkv", "webm", "m4v", "mts", "mpg", "gif"];
     let Some((commonest, count)) = others.iter().max_by_key(|(_, count)| **count) else {
@@ -339,24 +343,24 @@ fn described(others: &BTreeMap<String, usize>) -> String {
     };
     let cure = match commonest.as_str() {
         video if VIDEOS.contains(&video) => "give one video file",
-        picture if UNREAD.contains(&picture) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
+        image if UNREAD.contains(&image) => "convert them to PNG or JPEG (ImageMagick: `mogrify -format png *`)",
         _ => "give a folder of JPEG or PNG images, or a video",
     };
     format!("{count} {files}; {cure}")
 }
 
-/// Stored size of an image, from its header, if it seems to be whole.
+/// Stored size of an image from its header, if the file seems complete.
 fn header(path: &Path) -> Result<(u32, u32), String> {
     let reader = reader(path)?;
     let size = reader.into_decoder().map_err(|e| e.to_string())?.dimensions();
-    // A PNG that is cut short fails when it is decoded, a JPEG does not.
-    match jpeg::is_cut_short(path).map_err(|e| e.to_string())? {
+    // Decoding fails for a truncated PNG, but not for a truncated JPEG.
+    match jpeg::is_truncated(path).map_err(|e| e.to_string())? {
         true => Err("the file is truncated; copy it again".to_owned()),
         false => Ok(size),
     }
 }
 
-/// Size after turning.
+/// Size after rotation.
 fn upright((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) {
     match orientation {
         Orientation::Rotate90 | Orientation::Rotate270 | Orientation::Rotate90FlipH | Orientation::Rotate270FlipH => {
@@ -366,7 +370,7 @@ fn upright((width, height): (u32, u32), orientation: Orientation) -> (u32, u32) 
     }
 }
 
-/// Compares names as people do: runs of digits by their value, everything else by character.
+/// Compares names in natural order: runs of digits by value, everything else by character.
 fn natural_cmp(a: &str, b: &str) -> Ordering {
     let (mut left, mut right) = (a, b);
     loop {
@@ -401,7 +405,7 @@ pub(super) struct FolderDecoder {
     entries: std::vec::IntoIter<Entry>,
     current: Option<Entry>,
     seconds_per_frame: f64,
-    /// By camera, the size to which images are resized.
+    /// Size after resizing, per camera.
     targets: Vec<(u32, u32)>,
 }
 
@@ -424,23 +428,23 @@ impl Decoder for FolderDecoder {
         Ok(Some(Frame { id: FrameId(id), name, time_s: f64::from(id) * self.seconds_per_frame }))
     }
 
-    fn picture(&mut self) -> Result<RgbImage, VideoError> {
-        let entry = self.current.as_ref().expect("picture() follows step()");
-        let mut picture = decode(&entry.path).map_err(|reason| VideoError::Frame {
+    fn image(&mut self) -> Result<RgbImage, VideoError> {
+        let entry = self.current.as_ref().expect("image() follows step()");
+        let mut image = decode(&entry.path).map_err(|reason| VideoError::Frame {
             path: entry.path.clone(),
             frame: entry.id,
             reason,
         })?;
-        picture.apply_orientation(entry.orientation);
-        let picture = picture.into_rgb8();
-        let (found_width, found_height) = picture.dimensions();
+        image.apply_orientation(entry.orientation);
+        let image = image.into_rgb8();
+        let (found_width, found_height) = image.dimensions();
         if (found_width, found_height) != entry.size {
-            // Only if the file changed since it was listed.
+            // Occurs only if the file has changed since it was listed.
             let ((width, height), path, frame) = (entry.size, entry.path.clone(), entry.id);
             return Err(VideoError::SizeChanges { path, frame, width, height, found_width, found_height });
         }
         let target = self.targets[entry.camera];
-        Ok(if entry.size == target { picture } else { resize_rgb(&picture, target.0, target.1)? })
+        Ok(if entry.size == target { image } else { resize_rgb(&image, target.0, target.1)? })
     }
 
     fn num_stepped(&self) -> u32 {
@@ -452,7 +456,7 @@ fn decode(path: &Path) -> Result<DynamicImage, String> {
     reader(path)?.decode().map_err(|e| e.to_string())
 }
 
-/// Opens an image file that memory holds: some decoders read all of it, whatever the size of the image.
+/// Opens an image file within the memory limit: some decoders read all of it, whatever the image size.
 fn reader(path: &Path) -> Result<ImageReader<BufReader<File>>, String> {
     let file = files::open_within_memory(path).map_err(|e| e.to_string())?;
     let mut reader = ImageReader::new(BufReader::new(file));
@@ -465,14 +469,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn names_sort_as_people_read_them() {
+    fn names_sort_in_natural_order() {
         let mut names = ["img10.png", "img9.png", "img009.png", "a.png", "img10a.png", "img2.jpg", "img.png"];
         names.sort_by(|a, b| natural_cmp(a, b));
         assert_eq!(names, ["a.png", "img.png", "img2.jpg", "img009.png", "img9.png", "img10.png", "img10a.png"]);
     }
 
     #[test]
-    fn pictures_that_are_turned_are_named_with_a_cure() {
+    fn rotated_images_give_a_warning_with_a_remedy() {
         let entry = |id: u32, orientation| {
             let name = format!("{id}.jpg");
             Entry { id, path: Path::new("photos").join(&name), name, orientation, size: (8, 6), camera: 0 }
@@ -484,7 +488,7 @@ mod tests {
     }
 
     #[test]
-    fn images_of_kinds_that_are_not_read_are_named() {
+    fn images_of_unsupported_formats_give_a_warning() {
         let folder = tempfile::tempdir().unwrap();
         RgbImage::new(8, 6).save(folder.path().join("1.png")).unwrap();
         let warnings = || list(folder.path(), Turning::Auto, Cameras::One).unwrap().warnings;
@@ -504,7 +508,7 @@ mod tests {
     }
 
     #[test]
-    fn images_in_folders_of_a_folder_carry_the_names_of_both() {
+    fn images_in_subfolders_have_the_names_of_both() {
         let root = tempfile::tempdir().unwrap();
         let image = RgbImage::new(8, 6);
         for (folder, name) in [("b", "0.png"), ("a", "1.png"), ("a", "0.png")] {
@@ -525,7 +529,7 @@ mod tests {
     }
 
     #[test]
-    fn names_leave_room_for_those_of_masks() {
+    fn names_leave_room_for_mask_names() {
         let root = tempfile::tempdir().unwrap();
         let name = |length: usize| format!("{}.png", "n".repeat(length - 4));
         [251, 252, 255].iter().for_each(|length| RgbImage::new(8, 6).save(root.path().join(name(*length))).unwrap());
@@ -539,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn files_larger_than_memory_are_left_out_unread() {
+    fn files_larger_than_memory_are_skipped_unread() {
         let root = tempfile::tempdir().unwrap();
         RgbImage::new(8, 6).save(root.path().join("0.png")).unwrap();
         let heads: [(&str, &[u8]); 3] =
@@ -547,7 +551,7 @@ mod tests {
         for (name, head) in heads {
             let path = root.path().join(name);
             fs::write(&path, head).unwrap();
-            // A file of holes, where the file system has such.
+            // A sparse file, if the file system supports them.
             if File::options().write(true).open(&path).unwrap().set_len(1 << 43).is_err() {
                 return;
             }

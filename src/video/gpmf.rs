@@ -1,4 +1,4 @@
-//! The telemetry track of a video (GPMF), as action cameras write it, and the settings in the container's user data.
+//! Telemetry track of a video (GPMF), written by action cameras, and the settings in the container's user data.
 
 use std::io::{Read, Seek, SeekFrom};
 use std::path::Path;
@@ -12,7 +12,7 @@ use crate::scene::Timed;
 /// Telemetry of a video.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Gpmf {
-    /// In the order of the file.
+    /// Payloads, in file order.
     pub payloads: Vec<Timed<Vec<u8>>>,
     /// Content of the box `GPMF` in the container's user data; empty if there is none.
     pub settings: Vec<u8>,
@@ -20,7 +20,7 @@ pub struct Gpmf {
 
 /// Reads the telemetry track of a video; `None` if it has none. Nothing is decoded.
 ///
-/// * `track` – video track whose clock counts, as [`Options::track`](super::Options::track).
+/// * `track` – video track whose clock applies, as [`Options::track`](super::Options::track).
 ///
 /// # Errors
 /// As [`subtitles`](super::subtitles).
@@ -29,18 +29,18 @@ pub fn gpmf(path: &Path, track: Option<u32>) -> Result<Option<Gpmf>, VideoError>
     let Some(payloads) = tracks::packets(path, track, |kind| kind == StreamKind::Gpmf, payload)? else {
         return Ok(None);
     };
-    // Settings that cannot be read are none: the track is what counts.
+    // Unreadable settings count as none: only the track is required.
     let settings = files::open(path).ok().and_then(|mut file| settings(&mut file)).unwrap_or_default();
     Ok(Some(Gpmf { payloads, settings }))
 }
 
-/// Boxes that are looked at on one level: files of hours have a few dozen.
+/// Maximum number of boxes examined on one level: files of hours have a few dozen.
 const MOST_BOXES: usize = 4096;
 
-/// Cameras write 25 KiB.
+/// Maximum size of the settings, bytes: cameras write 25 KiB.
 const MOST_SETTINGS: u64 = 1 << 20;
 
-/// Content of `moov/udta/GPMF` (ISO/IEC 14496-12), if there is any that can be read.
+/// Content of `moov/udta/GPMF` (ISO/IEC 14496-12), if it exists and can be read.
 fn settings(file: &mut (impl Read + Seek)) -> Option<Vec<u8>> {
     let mut span = (0, file.seek(SeekFrom::End(0)).ok()?);
     for kind in [b"moov", b"udta", b"GPMF"] {
@@ -52,7 +52,7 @@ fn settings(file: &mut (impl Read + Seek)) -> Option<Vec<u8>> {
     Some(content)
 }
 
-/// Beginning and end of the content of the first box of a kind among those from `start` to `end`.
+/// Start and end of the content of the first box of a kind between `start` and `end`.
 fn find(file: &mut (impl Read + Seek), (start, end): (u64, u64), kind: &[u8; 4]) -> Option<(u64, u64)> {
     let mut at = start;
     for _ in 0..MOST_BOXES {
@@ -96,7 +96,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("damaged.mp4");
         let bytes = with_telemetry(&[b"DEVC1".to_vec()], b"DEVC");
-        // Every length and count of the index, in turn, beyond all bounds.
+        // Each length and count of the index in turn is set far out of range.
         for at in (0..bytes.len() - 4).step_by(4) {
             let mut damaged = bytes.clone();
             damaged[at..at + 4].fill(0xff);
@@ -115,7 +115,7 @@ mod tests {
         for end in 0..bytes.len() {
             assert_eq!(read(&bytes[..end]), b"", "{end}");
         }
-        // Sizes that lead nowhere, or backwards.
+        // Sizes that lead out of the file, or into the box's own head.
         for size in [2u32, 7, u32::MAX] {
             let damaged = [&size.to_be_bytes()[..], b"free", &moov].concat();
             assert_eq!(read(&damaged), b"", "{size}");

@@ -1,8 +1,8 @@
-//! Test whether a JPEG file is complete.
+//! Completeness check of JPEG files.
 //!
-//! Decoders fill what is missing of a picture with grey, and call that a success. A file that was cut short has no
-//! marker for the end of the image (ITU-T T.81, B.1.1.3). The marker need not stand at the end of the file: cameras
-//! write zeros, previews or whole films after it.
+//! Decoders fill the missing part of an image with gray and report success. A truncated file has no end-of-image marker
+//! (ITU-T T.81, B.1.1.3). The marker need not be at the end of the file: cameras write zeros, previews or whole videos
+//! after it.
 
 use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
@@ -13,11 +13,11 @@ use crate::files;
 const START: [u8; 2] = [0xff, 0xd8];
 /// End-of-image marker (ITU-T T.81, table B.1).
 const END: [u8; 2] = [0xff, 0xd9];
-/// Bytes at a file's end that are read first.
+/// Number of bytes at the end of a file that are read first.
 const TAIL_BYTES: i64 = 4096;
 
-/// Returns true if a file is a JPEG image without an end. Most files are known to be whole from their last bytes.
-pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
+/// Returns true if a file is a JPEG image without an end marker. For most complete files the last bytes suffice.
+pub(super) fn is_truncated(path: &Path) -> io::Result<bool> {
     let mut file = files::open(path)?;
     let mut start = Vec::new();
     file.by_ref().take(2).read_to_end(&mut start)?;
@@ -37,15 +37,16 @@ pub(super) fn is_cut_short(path: &Path) -> io::Result<bool> {
     Ok(!has_end(BufReader::new(file))?)
 }
 
-/// Goes from marker to marker until the end of the image. Segments are skipped by their length, since a preview in one
-/// of them has an end of its own.
+/// Follows the markers until the end of the image.
 ///
-/// * `jpeg` – after its start.
+/// Segments are skipped by their length, since a preview in one of them has an end marker of its own.
+///
+/// * `jpeg` – data after the start marker.
 fn has_end(mut jpeg: impl BufRead + Seek) -> io::Result<bool> {
     while let Some(marker) = next_marker(&mut jpeg)? {
         match marker {
             0xd9 => return Ok(true),
-            // A byte of the picture's data, a restart, and what else has no length.
+            // Stuffed bytes of image data, restart markers, and other markers without a length.
             0x00 | 0x01 | 0xd0..=0xd8 => {}
             _ => match (byte(&mut jpeg)?, byte(&mut jpeg)?) {
                 (Some(high), Some(low)) => {
@@ -59,7 +60,7 @@ fn has_end(mut jpeg: impl BufRead + Seek) -> io::Result<bool> {
     Ok(false)
 }
 
-/// The byte after the next 0xff, fill bytes aside; `None` at the end.
+/// Byte after the next 0xff, without fill bytes; `None` at the end.
 fn next_marker(jpeg: &mut impl BufRead) -> io::Result<Option<u8>> {
     loop {
         let there = jpeg.fill_buf()?;
@@ -94,26 +95,25 @@ mod tests {
     use super::*;
 
     fn jpeg() -> Vec<u8> {
-        let picture =
-            RgbImage::from_fn(64, 48, |x, y| Rgb([(x * 37 % 251) as u8, (y * 91 % 241) as u8, (x * y) as u8]));
+        let image = RgbImage::from_fn(64, 48, |x, y| Rgb([(x * 37 % 251) as u8, (y * 91 % 241) as u8, (x * y) as u8]));
         let mut bytes = Vec::new();
-        JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&picture).unwrap();
+        JpegEncoder::new_with_quality(&mut bytes, 95).encode_image(&image).unwrap();
         bytes
     }
 
-    /// With a segment that holds a whole picture, as cameras write it.
+    /// Adds a segment that holds a whole image, as cameras do.
     fn with_preview(jpeg: &[u8]) -> Vec<u8> {
         let length = u16::try_from(jpeg.len() + 2).unwrap().to_be_bytes();
         [&START[..], &[0xff, 0xe1], &length, jpeg, &jpeg[2..]].concat()
     }
 
     #[test]
-    fn a_picture_without_its_end_is_cut_short_wherever_it_was_cut() {
+    fn an_image_without_its_end_is_truncated_wherever_it_was_cut() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.jpg");
         let is_cut = |bytes: &[u8]| {
             fs::write(&path, bytes).unwrap();
-            is_cut_short(&path).unwrap()
+            is_truncated(&path).unwrap()
         };
         let plain = jpeg();
         let whole = with_preview(&plain);

@@ -5,7 +5,7 @@ pub(super) fn boxed(kind: &[u8; 4], content: &[u8]) -> Vec<u8> {
     [&(content.len() as u32 + 8).to_be_bytes(), &kind[..], content].concat()
 }
 
-/// A box of numbers, with its version and flags before them.
+/// A box of numbers, the first of which holds its version and flags.
 fn numbered(kind: &[u8; 4], numbers: &[u32]) -> Vec<u8> {
     boxed(kind, &numbers.iter().flat_map(|number| number.to_be_bytes()).collect::<Vec<u8>>())
 }

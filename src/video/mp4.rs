@@ -4,15 +4,15 @@ use std::io::{Read, Seek, SeekFrom};
 
 /// Head of a box.
 pub(super) struct BoxHead {
-    /// Kind of the box.
+    /// Box type.
     pub(super) kind: [u8; 4],
-    /// Bytes of the head.
+    /// Size of the head, bytes.
     pub(super) num_bytes: u64,
-    /// Bytes of the box as it states them, head included; `None` if it goes on to the end.
+    /// Declared size of the box, bytes, head included; `None` if it extends to the end.
     pub(super) size: Option<u64>,
 }
 
-/// The head of the box at a place in a file; `None` if it is cut off or cannot be read.
+/// Reads the head of the box at an offset in a file; `None` if it is truncated or cannot be read.
 pub(super) fn head_at(file: &mut (impl Read + Seek), at: u64) -> Option<BoxHead> {
     let (mut head, mut size) = ([0; 8], [0; 8]);
     file.seek(SeekFrom::Start(at)).ok()?;

@@ -1,4 +1,4 @@
-//! Which frames of an input are chosen, and how large they are given out.
+//! Selection of the frames of an input, and their size.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,7 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::checks::{Checked, OptionError, within};
 use crate::scene::{Frame, FrameId};
 
-/// A place in the source: a time or a frame.
+/// Position in the source: a time or a frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub enum Position {
@@ -129,11 +129,11 @@ impl Options {
         if self.every == 0 {
             return Err(OptionError::new("every", "--every must be at least 1"));
         }
-        // Nothing can be found in smaller ones.
+        // No detection is possible in smaller images.
         if self.max_dimension.is_some_and(|side| side < 16) {
             return Err(OptionError::new("max_dimension", "--max-dimension must be at least 16 pixels"));
         }
-        // From one picture in eleven days to a million in a second: beyond, times would no longer tell frames apart.
+        // From one image in eleven days to a million per second: beyond, times would no longer distinguish frames.
         self.fps.map_or(Ok(()), |fps| within("fps", fps, 1e-6..=1e6))
     }
 }
@@ -146,7 +146,7 @@ pub(super) enum Choice {
     Stop,
 }
 
-/// Chooses frames in order of their index.
+/// Selects frames in order of their index.
 #[derive(Debug)]
 pub(super) struct Selection {
     options: Options,

@@ -1,4 +1,4 @@
-//! Decoding on a thread of its own, a fixed number of pictures ahead of the caller.
+//! Decoding on a separate thread, a fixed number of images ahead of the caller.
 
 use std::collections::BTreeSet;
 use std::sync::mpsc::{Receiver, sync_channel};
@@ -11,19 +11,21 @@ use super::decode::{Decoder, next_chosen};
 use super::options::Selection;
 use crate::scene::{Frame, FrameId};
 
-/// Pictures that are decoded ahead of the caller. With the one under way and the one in the caller's hands, four frames
-/// are in memory at most.
+/// Number of images decoded ahead of the caller.
+///
+/// With the one being decoded and the one held by the caller, at most four images are in memory.
 const AHEAD: usize = 2;
 
-/// The chosen frames with their pictures, in order. A frame that cannot be decoded is an `Err` among them, and the
-/// next ones follow.
+/// Selected frames with their images, in order.
+///
+/// A frame that cannot be decoded is an `Err`; the iteration continues after it.
 pub struct Frames {
     items: Option<Receiver<Result<(Frame, RgbImage), VideoError>>>,
     thread: Option<JoinHandle<()>>,
 }
 
 impl Frames {
-    /// Decodes on a thread of its own; `only`, if given, names the frames whose pictures are wanted.
+    /// Starts decoding on a separate thread; `only`, if given, restricts the frames whose images are decoded.
     ///
     /// # Errors
     /// [`VideoError::Thread`].
@@ -46,7 +48,7 @@ impl Frames {
                 if only.as_ref().is_some_and(|ids| !ids.contains(&frame.id)) {
                     continue;
                 }
-                let item = decoder.picture().map(|picture| (frame, picture));
+                let item = decoder.image().map(|image| (frame, image));
                 if sender.send(item).is_err() {
                     return; // The caller has lost interest.
                 }

@@ -1,31 +1,38 @@
-//! Frames that repeat the one before.
+//! Frames that repeat their predecessor.
 //!
 //! A video of 10 frames per second in a file of 30 contains each of them three times. Encoders do not copy exactly, and
-//! a stationary camera gives equal frames, too. Therefore a frame is repeated if its difference from its predecessor is
-//! small, everywhere, compared with differences both before and after it that affect most of the image. In a longer
-//! halt the neighboring differences are as small; before a stationary camera they are local.
+//! a stationary camera gives equal frames, too. Therefore a frame counts as repeated if its difference from its
+//! predecessor is small in the whole image, compared with differences both before and after it that affect most of the
+//! image. During a longer halt the neighboring differences are as small; with a stationary camera they are local.
 
 use std::ops::Range;
 
 use crate::ffi::ffmpeg::Luma;
 use crate::math::quantile;
 
-/// Rows that are compared: every fourth, which gives the mean difference of a frame to a few percent.
+/// Step between compared rows: every fourth row gives the mean difference of a frame to a few percent.
 pub(super) const ROW_STEP: usize = 4;
-/// Frames on each side among which there must be a change: 10 frames per second in a file of 60 are shown 6 times.
+/// Number of frames on each side among which there must be a change.
+///
+/// Each frame of a video of 10 frames per second is shown 6 times in a file of 60.
 const REACH: usize = 6;
-/// A repeated frame differs by less than this share of the change near it. Repeats coded by six encoders had 0.0005 to
-/// 0.1, their key frames up to 0.27; the 970 frames of five real videos had none below 0.33.
+/// Maximum difference of a repeated frame, as a share of the change near it.
+///
+/// Repeats coded by six encoders had 0.0005 to 0.1, their keyframes up to 0.27; the 970 frames of five real videos had
+/// none below 0.33.
 const MAX_SHARE: f64 = 0.25;
 /// Side of a block, pixels: a macroblock of most encoders.
 const BLOCK: usize = 16;
-/// Share of the blocks that a local change leaves alone.
+/// Share of the blocks that a local change does not affect; the quantile of [`Change::typical`].
 const TYPICAL: f64 = 0.75;
-/// Least change of most of the image that shows a moving camera, gray levels. Repeats and key frames of five encoders
-/// had up to 1.1 on average.
+/// Minimum change of most of the image that indicates a moving camera, gray levels.
+///
+/// Repeats and keyframes of five encoders had up to 1.1 on average.
 const MIN_MOTION: f64 = 2.0;
-/// Change of a block that no repeated frame has, gray levels: 99 % of the repeats of five encoders had less, down to
-/// 300 kbit/s, and moving objects of ordinary contrast have more.
+/// Upper limit of the change of a block in a repeated frame, gray levels.
+///
+/// 99 % of the repeats of five encoders had less, down to 300 kbit/s, and moving objects of ordinary contrast have
+/// more.
 const MAX_LOCAL: f64 = 16.0;
 
 /// Difference of two frames, gray levels.
@@ -33,7 +40,7 @@ const MAX_LOCAL: f64 = 16.0;
 pub(super) struct Change {
     /// Upper quartile over the blocks.
     pub(super) typical: f64,
-    /// Largest of any block.
+    /// Maximum over the blocks.
     pub(super) local: f64,
 }
 
@@ -59,9 +66,9 @@ pub(super) fn change(from: &Luma, to: &Luma) -> Option<Change> {
     Some(Change { typical: quantile(&mut blocks, TYPICAL)?, local })
 }
 
-/// Which frames repeat the one before.
+/// Marks the frames that repeat their predecessor.
 ///
-/// * `changes` – of each frame its difference from the one before; `None` where there is none, or no telling.
+/// * `changes` – difference of each frame from its predecessor; `None` if it has none or they cannot be compared.
 pub(super) fn repeated(changes: &[Option<Change>]) -> Vec<bool> {
     let is_repeated = |k: usize| {
         let change = changes[k]?;
@@ -77,7 +84,7 @@ pub(super) fn repeated(changes: &[Option<Change>]) -> Vec<bool> {
 fn change_near(changes: &[Option<Change>], k: usize, of: impl Fn(&Change) -> f64) -> f64 {
     let largest = |range: Range<usize>| changes[range].iter().flatten().map(&of).fold(0.0, f64::max);
     let (from, to) = (k.saturating_sub(REACH), (k + 1 + REACH).min(changes.len()));
-    // The first frame has no change and the last ones have no successors: one side has to do.
+    // The first frame has no change and the last ones have no successors: one side has to suffice.
     let before = (k > REACH).then(|| largest(from..k));
     let after = (k + REACH < changes.len()).then(|| largest(k + 1..to));
     match (before, after) {
@@ -99,12 +106,12 @@ mod tests {
     }
 
     #[test]
-    fn repeats_are_told_from_motion_and_from_halts() {
+    fn repeats_are_distinguished_from_motion_and_halts() {
         let thrice: Vec<f64> = (1..30).map(|k| if k % 3 == 0 { 17.0 } else { 0.2 }).collect();
         assert_eq!(found(&thrice), (0..30).filter(|k| k % 3 != 0).collect::<Vec<_>>());
         let sixth: Vec<f64> = (1..40).map(|k| if k % 6 == 5 { 0.5 } else { 9.0 }).collect();
         assert_eq!(found(&sixth), [5, 11, 17, 23, 29, 35]);
-        // Ten in sixty.
+        // 10 frames per second in a file of 60.
         let six_times: Vec<f64> = (1..60).map(|k| if k % 6 == 0 { 5.0 } else { 0.1 }).collect();
         assert_eq!(found(&six_times).len(), 50);
         assert_eq!(found(&[3.0, 5.0, 2.0, 4.0, 6.0, 3.0, 2.5, 4.0, 5.0, 3.0, 2.0, 4.0, 5.0, 6.0]), [0; 0], "motion");

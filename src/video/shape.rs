@@ -1,17 +1,20 @@
-//! Pixels that are not square.
+//! Non-square pixels.
 //!
-//! DV, HDV, DVD and many analogue recorders store fewer columns than are shown: `SAR`, the width of a pixel over its
-//! height, says how wide they are. Cameras are modelled with square pixels, and people mark masks on what players show,
-//! so that frames get the size at which they are shown.
+//! DV, HDV, DVD and many analogue recorders store fewer columns than are displayed: `SAR` is the width of a pixel over
+//! its height. Cameras are modeled with square pixels, and users draw masks on the image that players display. Frames
+//! therefore get their display size.
 
 use crate::scene::{Topic, Warning};
 
-/// Largest `SAR`, or its inverse, that is believed. Anamorphic lenses and half-width 3D have 2; damaged headers state
-/// anything.
+/// Largest plausible `SAR`, or its inverse.
+///
+/// Anamorphic lenses and half-width 3D have 2; damaged headers have arbitrary values.
 const MAX_ASPECT: f64 = 4.0;
 
-/// Size of a frame with square pixels: the side along which pixels are longer grows, so that nothing is lost, to an
-/// even number, as video encoders need it. Unchanged where that is less than a pixel, or the aspect cannot be right.
+/// Size of a frame with square pixels.
+///
+/// The side along which pixels are longer grows, which loses no detail. It becomes even, as video encoders need it. The
+/// size does not change if it would grow by less than a pixel, or if the aspect is implausible.
 ///
 /// * `aspect` – width of a pixel over its height, as a fraction; `None` is square.
 pub(super) fn squared((width, height): (u32, u32), aspect: Option<(u32, u32)>) -> (u32, u32) {
@@ -27,7 +30,7 @@ fn longer(side: u32, factor: f64) -> u32 {
     if exact - f64::from(side) < 1.0 { side } else { 2 * (exact / 2.0).round() as u32 }
 }
 
-/// Remark on frames that are not shown as they are stored.
+/// Warning about frames whose display size is not the stored size.
 ///
 /// * `stored`, `shown` – sizes, upright.
 pub(super) fn remark(stored: (u32, u32), shown: (u32, u32)) -> Option<Warning> {
@@ -52,7 +55,7 @@ mod tests {
             ((704, 480), (40, 33), (854, 480)),
             ((720, 480), (8, 9), (720, 540)),
             ((1920, 1080), (1, 1), (1920, 1080)),
-            // Rounded by whoever wrote the file: 16:9 of 854x480.
+            // Rounded by the writer of the file: 16:9 of 854x480.
             ((854, 480), (1280, 1281), (854, 480)),
             ((640, 480), (1, 65535), (640, 480)),
             ((641, 481), (1, 1), (641, 481)),

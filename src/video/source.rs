@@ -1,5 +1,4 @@
-//! An input that frames come from: what is known of it before decoding, which frames the options choose, and their
-//! pictures.
+//! Input of frames: its properties before decoding, the frames that the options select, and their images.
 
 use std::collections::BTreeSet;
 use std::fs;
@@ -12,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::cameras::{Cameras, PictureCamera};
 use super::decode::{Decoder, next_chosen};
 use super::file::{FileDecoder, Sizes, Video};
-use super::folder::{self, FolderDecoder, Listing, Taken};
+use super::folder::{self, FolderDecoder, ImageGroup, Listing};
 use super::options::Selection;
 use super::survey::Survey;
 use super::{Frames, Options, VideoError, shape};
@@ -36,32 +35,32 @@ pub enum Kind {
 pub struct Info {
     /// Video or folder.
     pub kind: Kind,
-    /// Width of the frames as they are given out (upright, resized), pixels.
+    /// Width of the upright and resized frames, pixels.
     pub width: u32,
-    /// Height of the frames as they are given out, pixels.
+    /// Height of the upright and resized frames, pixels.
     pub height: u32,
     /// Upright width before resizing, in square pixels.
     pub source_width: u32,
     /// Upright height before resizing, in square pixels.
     pub source_height: u32,
-    /// Upright width as the file stores it: another one where its pixels are not square.
+    /// Upright width as stored in the file; it differs from `source_width` if pixels are not square.
     pub stored_width: u32,
-    /// Upright height as the file stores it.
+    /// Upright height as stored in the file.
     pub stored_height: u32,
     /// Number of the video track among those of the file, from 0.
     pub video_track: Option<u32>,
     /// Frames per second: the container's nominal rate, or the one given for a folder.
     pub fps: Option<f64>,
-    /// Number of frames that the container states (it may be an estimate), or of image files in the folder.
+    /// Number of frames according to the container (it may be an estimate), or of image files in the folder.
     pub num_frames: Option<u32>,
-    /// Rotation that the container asks for, degrees; the frames have it applied.
+    /// Rotation declared by the container, degrees; it has been applied to the frames.
     pub rotation_deg: i32,
-    /// Focal length that EXIF data state, in pixels of the frames as they are given out.
+    /// Focal length from EXIF data, pixels of the upright and resized frames.
     pub exif_focal_px: Option<f64>,
 }
 
 impl Info {
-    /// Unit of the frames' times: a video has times of its own, a folder only with a given rate.
+    /// Unit of the frames' times: a video has its own times, a folder has times only with a given rate.
     pub fn time_base(&self) -> TimeBase {
         match (self.kind, self.fps) {
             (Kind::Folder, None) => TimeBase::Frames,
@@ -70,14 +69,14 @@ impl Info {
     }
 }
 
-/// The frames that the options choose.
+/// Frames that the options select.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Scan {
     /// Ascending by index; never empty.
     pub frames: Vec<Frame>,
-    /// Chosen frames of a video that are not listed since they repeat the one before.
+    /// Number of selected frames that are not listed, as they repeat their predecessor.
     pub num_repeated: usize,
-    /// Problems of the input although it can be used, one sentence each.
+    /// Problems of a usable input, one sentence each.
     pub warnings: Vec<Warning>,
 }
 
@@ -89,24 +88,25 @@ pub struct Source {
     info: Info,
     cameras: Vec<PictureCamera>,
     listing: Option<Listing>,
-    /// Of a video that is still written.
+    /// Growth of a video that is still being written.
     growth: Option<Arc<Growth>>,
-    /// Remarks on how a video is read, for the user.
+    /// Notes for the user on how a video is read.
     remarks: Vec<Warning>,
 }
 
 impl Source {
-    /// Opens an input and decodes its first picture's size. Pictures of a folder that have another size are left out.
+    /// Opens an input and decodes the size of its first image. Images of a folder with another size are skipped.
     ///
     /// # Errors
-    /// Every [`VideoError`] that can be determined before the frames are walked through: missing, unreadable, empty,
-    /// not a video, no picture, contradicting options.
+    /// Every [`VideoError`] that can be determined before the scan: missing, unreadable, empty, not a video, no image,
+    /// contradicting options.
     pub fn open(path: &Path, options: &Options) -> Result<Self, VideoError> {
         Self::open_as(path, options, Cameras::One, None)
     }
 
-    /// As [`Source::open`], of a video that is still written: waits for its first picture, and [`Source::frames`] for
-    /// all others.
+    /// As [`Source::open`], for a video that is still being written.
+    ///
+    /// Waits for its first image, and [`Source::frames`] waits for all others.
     ///
     /// # Errors
     /// As [`Source::open`].
@@ -114,8 +114,9 @@ impl Source {
         Self::open_as(path, options, Cameras::One, Some(growth))
     }
 
-    /// As [`Source::open`], with all pictures of a folder, whatever their sizes: [`Source::cameras`] says which of them
-    /// have one size and were taken alike. [`Source::info`] speaks of the first one.
+    /// As [`Source::open`], with all images of a folder, whatever their sizes.
+    ///
+    /// [`Source::cameras`] groups them by size and camera. [`Source::info`] refers to the first one.
     ///
     /// # Errors
     /// As [`Source::open`].
@@ -143,18 +144,18 @@ impl Source {
             (info, None, remarks)
         };
         let cameras = match &listing {
-            Some(listing) => listing.cameras.iter().map(|taken| picture_camera(taken, options)).collect(),
+            Some(listing) => listing.cameras.iter().map(|group| picture_camera(group, options)).collect(),
             None => vec![only_camera(&info)],
         };
         Ok(Self { path: path.to_owned(), options: options.clone(), info, cameras, listing, growth, remarks })
     }
 
-    /// The cameras that took the pictures, in order of their first one; never empty.
+    /// Cameras of the images, in order of their first image; never empty.
     pub fn cameras(&self) -> &[PictureCamera] {
         &self.cameras
     }
 
-    /// Why a picture of another size than the first one is left out, where all must have one.
+    /// Warning about an image that is skipped because its size differs from the first one's, if all must have one size.
     pub fn of_another_size(&self, frame: &Frame) -> Option<Warning> {
         let (first, own) = (self.cameras.first()?, self.cameras.iter().find(|c| c.frames.contains(&frame.id))?);
         let size = |camera: &PictureCamera| (camera.source_width, camera.source_height);
@@ -163,8 +164,7 @@ impl Source {
         })
     }
 
-    /// Quarter turns, clockwise, that make a frame of the picture as its file stores it, 0 to 3; `None` if it is
-    /// mirrored as well.
+    /// Quarter turns, clockwise, from the stored image to the frame, 0 to 3; `None` if it is mirrored as well.
     pub fn quarter_turns(&self, frame: FrameId) -> Option<u8> {
         match &self.listing {
             Some(listing) => listing.quarter_turns(frame),
@@ -177,21 +177,22 @@ impl Source {
         &self.info
     }
 
-    /// Of how many frames one is taken.
+    /// Step between selected frames: one of every n.
     pub fn every(&self) -> u32 {
         self.options.every.max(1)
     }
 
-    /// Where the input is.
+    /// File path of the input.
     pub fn path(&self) -> &Path {
         &self.path
     }
 
-    /// Walks through the whole input without making pictures: which frames there are, at which times. Frames of a video
-    /// that have another size than the first, or repeat the one before, are not listed.
+    /// Lists the frames of the whole input and their times, without converting images.
+    ///
+    /// Frames of a video that have another size than the first, or repeat their predecessor, are not listed.
     ///
     /// # Errors
-    /// [`VideoError::NothingChosen`] if the options leave no frame; those of opening the file again.
+    /// [`VideoError::NothingChosen`] if the options select no frame; those of reopening the file.
     pub fn scan(&self) -> Result<Scan, VideoError> {
         let mut decoder = self.decoder(Purpose::Times)?;
         let mut selection = Selection::new(&self.options);
@@ -211,15 +212,15 @@ impl Source {
         Ok(Scan { frames: surveyed.frames, num_repeated: surveyed.num_repeated, warnings })
     }
 
-    /// Decodes the chosen frames in order, also those that [`Source::scan`] does not list.
+    /// Decodes the selected frames in order, including those that [`Source::scan`] does not list.
     ///
     /// # Errors
-    /// Those of opening the file again; what is wrong with single frames comes from the iterator.
+    /// Those of reopening the file; the iterator returns the errors of single frames.
     pub fn frames(&self) -> Result<Frames, VideoError> {
         Frames::start(self.decoder(Purpose::Pictures)?, Selection::new(&self.options), None)
     }
 
-    /// Decodes those of the chosen frames that are asked for, in order.
+    /// Decodes the requested ones of the selected frames, in order.
     ///
     /// # Errors
     /// As [`Source::frames`].
@@ -267,7 +268,7 @@ impl Source {
         })
     }
 
-    /// Compares what the container states with what is there, after a scan that went to the end.
+    /// Compares the container's metadata with the frames found, after a scan to the end.
     fn count_warning(&self, decoder: &dyn Decoder) -> Option<Warning> {
         let stated = self.info.num_frames.filter(|_| self.info.kind == Kind::Video && self.options.end.is_none())?;
         let found = decoder.num_stepped();
@@ -300,22 +301,22 @@ fn folder_info(listing: &Listing, options: &Options) -> Info {
     }
 }
 
-fn picture_camera(taken: &Taken, options: &Options) -> PictureCamera {
-    let (source_width, source_height) = taken.size;
-    let (width, height) = target_size(taken.size, options);
+fn picture_camera(group: &ImageGroup, options: &Options) -> PictureCamera {
+    let (source_width, source_height) = group.size;
+    let (width, height) = target_size(group.size, options);
     let scale = f64::from(width.max(height)) / f64::from(source_width.max(source_height));
-    let exif_focal_px = taken.exif_focal_px.map(|focal| focal * scale);
-    let frames = taken.ids.iter().copied().map(FrameId).collect();
+    let exif_focal_px = group.exif_focal_px.map(|focal| focal * scale);
+    let frames = group.ids.iter().copied().map(FrameId).collect();
     PictureCamera { width, height, source_width, source_height, exif_focal_px, frames }
 }
 
-/// That of a video.
+/// Camera of a video.
 fn only_camera(info: &Info) -> PictureCamera {
     let Info { width, height, source_width, source_height, exif_focal_px, .. } = *info;
     PictureCamera { width, height, source_width, source_height, exif_focal_px, frames: Vec::new() }
 }
 
-/// Probes a video: its properties, and remarks on how it is read.
+/// Probes a video: its properties, and notes on how it is read.
 fn file_info(path: &Path, options: &Options, growth: Option<&Arc<Growth>>) -> Result<(Info, Vec<Warning>), VideoError> {
     let no_frames = || VideoError::NoFrames { path: path.to_owned() };
     let video = Video::open(path, Purpose::Pictures, options.track, growth)?;
@@ -363,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_a_video_come_in_order_with_their_times_and_again() {
+    fn frames_of_a_video_have_order_and_times_at_every_call() {
         let folder = tempfile::tempdir().unwrap();
         let options = Options { every: 3, start: "0.2".parse().ok(), max_dimension: Some(32), ..Options::default() };
         let source = Source::open(&clip(folder.path(), 12), &options).unwrap();
@@ -376,9 +377,9 @@ mod tests {
         for _ in 0..2 {
             let frames: Vec<_> = source.frames().unwrap().collect::<Result<_, _>>().unwrap();
             assert_eq!(frames.iter().map(|(frame, _)| frame.clone()).collect::<Vec<_>>(), scan.frames);
-            for (frame, picture) in &frames {
-                assert_eq!(picture.dimensions(), (32, 24));
-                let red = i32::from(picture.get_pixel(16, 12)[0]);
+            for (frame, image) in &frames {
+                assert_eq!(image.dimensions(), (32, 24));
+                let red = i32::from(image.get_pixel(16, 12)[0]);
                 assert!((red - frame.id.0 as i32 * 10).abs() < 8, "frame {} is {red}", frame.id.0);
             }
         }
@@ -412,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn a_video_that_is_cut_off_gives_what_is_there_and_says_so() {
+    fn a_truncated_video_gives_its_frames_and_a_warning() {
         let folder = tempfile::tempdir().unwrap();
         let path = clip(folder.path(), 30);
         let bytes = fs::read(&path).unwrap();
@@ -423,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_video_is_told_apart() {
+    fn inputs_that_are_no_video_have_distinct_errors() {
         let folder = tempfile::tempdir().unwrap();
         let open = |name: &str, content: &[u8]| {
             let path = folder.path().join(name);
@@ -442,7 +443,7 @@ mod tests {
     }
 
     #[test]
-    fn a_folder_is_read_in_natural_order_and_odd_files_are_left_out() {
+    fn a_folder_is_read_in_natural_order_and_odd_files_are_skipped() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["b10.png", "b9.png", "b11.png"] {
             png(&folder.path().join(name), 20, 16);
@@ -464,7 +465,7 @@ mod tests {
     }
 
     #[test]
-    fn photographs_of_all_sizes_are_taken_where_they_are_asked_for() {
+    fn photographs_of_all_sizes_are_accepted_if_requested() {
         let folder = tempfile::tempdir().unwrap();
         for (name, width, height) in [("1.png", 40, 30), ("2.png", 30, 40), ("3.png", 40, 30), ("4.png", 20, 16)] {
             png(&folder.path().join(name), width, height);
@@ -486,7 +487,7 @@ mod tests {
     }
 
     #[test]
-    fn pictures_that_are_cut_short_are_left_out_and_named() {
+    fn truncated_images_are_skipped_with_a_warning() {
         let folder = tempfile::tempdir().unwrap();
         let noise = RgbImage::from_fn(64, 48, |x, y| ::image::Rgb([(x * 37 + y * 91) as u8, (x * y) as u8, y as u8]));
         for name in ["1.jpg", "2.jpg", "3.png", "4.jpg"] {
@@ -499,18 +500,18 @@ mod tests {
         }
         let source = Source::open(folder.path(), &Options::default()).unwrap();
         let scan = source.scan().unwrap();
-        // The PNG is found out when it is decoded.
+        // The damaged PNG is detected when it is decoded.
         assert_eq!(scan.frames.iter().map(|f| f.name.as_str()).collect::<Vec<_>>(), ["1.jpg", "3.png", "4.jpg"]);
         assert_eq!(scan.warnings.len(), 1, "{:?}", scan.warnings);
         assert!(scan.warnings[0].text.contains("2.jpg: skipped") && scan.warnings[0].text.contains("truncated"));
-        let (pictures, failed): (Vec<_>, Vec<_>) = source.frames().unwrap().partition(Result::is_ok);
-        assert_eq!(pictures.into_iter().map(|f| f.unwrap().0.id.0).collect::<Vec<_>>(), [0, 3]);
+        let (images, failed): (Vec<_>, Vec<_>) = source.frames().unwrap().partition(Result::is_ok);
+        assert_eq!(images.into_iter().map(|f| f.unwrap().0.id.0).collect::<Vec<_>>(), [0, 3]);
         assert_eq!(failed.len(), 1);
         assert!(failed[0].as_ref().unwrap_err().to_string().contains("3.png: frame 2 cannot be decoded"));
     }
 
-    /// Walks through a file by every way there is, and gives the number of frames, if it is a video at all.
-    fn walked(path: &Path) -> Option<usize> {
+    /// Reads a file by every method of [`Source`], and returns the number of frames if it is a video.
+    fn read_fully(path: &Path) -> Option<usize> {
         let _ = crate::video::subtitles(path, None);
         let source = Source::open(path, &Options::default()).ok()?;
         let _ = source.frames().ok()?.filter(Result::is_err).count();
@@ -518,18 +519,18 @@ mod tests {
     }
 
     #[test]
-    fn files_that_are_cut_or_damaged_anywhere_do_no_harm() {
+    fn truncated_and_damaged_files_do_no_harm() {
         crate::video::silence_decoders();
         let golden = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/text_track.mp4")).unwrap();
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("broken.mp4");
         let walk = |content: &[u8]| {
             fs::write(&path, content).unwrap();
-            walked(&path)
+            read_fully(&path)
         };
         assert_eq!(walk(&golden), Some(10));
         for length in (0..golden.len()).step_by(41) {
-            // The index is at the end; of one that is cut off FFmpeg believes what is there.
+            // The index is at the end; FFmpeg accepts the remaining part of a truncated one.
             assert!(walk(&golden[..length]).is_none_or(|count| count <= 10), "cut off at {length}");
         }
         for at in (0..golden.len()).step_by(17) {
@@ -545,7 +546,7 @@ mod tests {
         let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/golden/variable_rate_rotated.mp4");
         let source = Source::open(&path, &Options::default()).unwrap();
         assert_eq!((source.info().width, source.info().height), (48, 64));
-        // FFmpeg's own program turns it this way; OpenCV 4.6 turned it upside down.
+        // FFmpeg's own program rotates it this way; OpenCV 4.6 turned it upside down.
         assert_eq!((source.info().rotation_deg, source.quarter_turns(FrameId(0))), (270, Some(3)));
         let scan = source.scan().unwrap();
         let expected = [0.0, 0.1, 0.2, 0.3, 0.9, 1.0, 1.1, 1.2];
@@ -554,7 +555,7 @@ mod tests {
             assert!((frame.time_s - expected).abs() < 1e-6, "{:?}", scan.frames);
         }
         assert!(scan.warnings.is_empty(), "{:?}", scan.warnings);
-        let (_, picture) = source.frames().unwrap().next().unwrap().unwrap();
-        assert_eq!(picture.dimensions(), (48, 64));
+        let (_, image) = source.frames().unwrap().next().unwrap().unwrap();
+        assert_eq!(image.dimensions(), (48, 64));
     }
 }

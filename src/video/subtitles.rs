@@ -1,4 +1,4 @@
-//! The text track of a video, in which some cameras write where they are.
+//! Text track of a video, in which some cameras write their position.
 
 use std::path::Path;
 
@@ -8,13 +8,13 @@ use crate::scene::Timed;
 
 /// Reads the first text track of a video, or a file of subtitles (SRT, WebVTT, ASS).
 ///
-/// Returns the texts in the order of the file, with line breaks and markup; bytes that are no UTF-8 are replaced.
-/// `None` if it has no text track. Nothing is decoded, so that it takes little more time than reading the file.
+/// Returns the texts in file order, with line breaks and markup; invalid UTF-8 is replaced. `None` if the file has no
+/// text track. Nothing is decoded: it takes little more time than reading the file.
 ///
-/// * `track` – video track whose clock counts, as [`Options::track`](super::Options::track).
+/// * `track` – video track whose clock applies, as [`Options::track`](super::Options::track).
 ///
 /// # Errors
-/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg does not take, [`VideoError::Playlist`],
+/// [`VideoError::NoIndex`], [`VideoError::NotAVideo`] for a file that FFmpeg rejects, [`VideoError::Playlist`],
 /// [`VideoError::Ffmpeg`], [`VideoError::TextTooLarge`].
 pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Timed<String>>, VideoError> {
     let subtitle = |kind, data: &[u8]| {
@@ -27,18 +27,18 @@ pub fn subtitles(path: &Path, track: Option<u32>) -> Result<Vec<Timed<String>>, 
     Ok(tracks::packets(path, track, is_text, subtitle)?.unwrap_or_default())
 }
 
-/// The text that a packet holds.
+/// Text of a packet.
 fn text(data: &[u8], coding: TextCoding) -> String {
     let text = match coding {
         TextCoding::Plain => data,
         TextCoding::Timed => timed(data),
-        // Eight fields go before the text.
+        // Eight fields precede the text.
         TextCoding::SubStation => data.splitn(9, |byte| *byte == b',').last().unwrap_or_default(),
     };
     String::from_utf8_lossy(text).trim_matches('\0').trim_end().to_owned()
 }
 
-/// The text after its length, of which no more is believed than there is.
+/// Text after its length field; a length beyond the end of the packet is truncated.
 fn timed(data: &[u8]) -> &[u8] {
     let [high, low, rest @ ..] = data else { return &[] };
     &rest[..rest.len().min(usize::from(u16::from_be_bytes([*high, *low])))]
@@ -49,7 +49,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn text_is_taken_out_of_every_coding() {
+    fn text_of_every_encoding_is_read() {
         assert_eq!(text(b"F/2.8, SS 500\nISO 100\r\n", TextCoding::Plain), "F/2.8, SS 500\nISO 100");
         assert_eq!(text(b"\0\x03abc\0\0\0\x0cencd\0\0\x01\0", TextCoding::Timed), "abc");
         assert_eq!(text(b"\0\x09abc", TextCoding::Timed), "abc", "a length beyond the end");

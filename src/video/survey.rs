@@ -1,4 +1,4 @@
-//! Which of the chosen frames are listed.
+//! Choice of the listed frames among the selected ones.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::decode::Inspection;
 use super::repeats;
 use crate::scene::{Frame, Topic, Warning};
 
-/// Collects the frames of an input on a walk through it.
+/// Collects the frames of an input during a scan.
 #[derive(Debug, Default)]
 pub(super) struct Survey {
     frames: Vec<Frame>,
@@ -31,9 +31,9 @@ impl Survey {
         self.frames.is_empty()
     }
 
-    /// Leaves out frames of another size than the first, and those that repeat the one before.
+    /// Removes frames of another size than the first, and those that repeat their predecessor.
     ///
-    /// * `size` – of the first frame of the input, upright and with square pixels.
+    /// * `size` – size of the first frame of the input, upright and with square pixels.
     pub(super) fn finish(self, path: &Path, size: (u32, u32)) -> Surveyed {
         let Self { frames, found } = self;
         let (path, count) = (path.display(), frames.len());

@@ -1,4 +1,4 @@
-//! Containers of many kinds, read as a run reads them.
+//! Containers of many formats, read in the same way as by a run.
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -21,7 +21,7 @@ fn images(source: &Source) -> Vec<RgbImage> {
 }
 
 #[test]
-fn playlists_are_refused_whatever_they_are_called() {
+fn playlists_are_rejected_under_every_name() {
     let folder = tempfile::tempdir().unwrap();
     let segment = folder.path().join("near.mp4");
     fs::copy(golden("text_track.mp4"), &segment).unwrap();
@@ -38,7 +38,7 @@ fn playlists_are_refused_whatever_they_are_called() {
     let lists = [
         ("hls", hls("#EXT-X-ENDLIST\n", "near.mp4")),
         ("hls", hls("#EXT-X-ENDLIST\n", &far)),
-        // A live list, which FFmpeg waits on to grow.
+        // A live playlist, which FFmpeg waits for to grow.
         ("hls", hls("", "near.mp4")),
         ("concat", "ffconcat version 1.0\nfile near.mp4\n".to_owned()),
         ("dash", manifest.to_owned()),
@@ -134,7 +134,7 @@ fn repeated_frames_are_counted_and_not_listed() {
     assert_eq!((scan.frames.len(), scan.num_repeated), (70, 0), "{:?}", scan.warnings);
 }
 
-/// A gray object that moves before a stationary camera: at once, or in leaps with pauses; the light may flicker.
+/// A gray object in front of a stationary camera: it moves steadily, or in jumps with pauses; the light may flicker.
 #[test]
 fn a_stationary_camera_has_no_repeated_frames() {
     let folder = tempfile::tempdir().unwrap();
@@ -155,7 +155,7 @@ fn a_stationary_camera_has_no_repeated_frames() {
 }
 
 #[test]
-fn what_an_edit_list_hides_is_not_missed() {
+fn frames_hidden_by_an_edit_list_are_not_missed() {
     let source = Source::open(&golden("edit_list.mp4"), &Options::default()).unwrap();
     let scan = source.scan().unwrap();
     assert_eq!(source.info().num_frames, Some(13));

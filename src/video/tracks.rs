@@ -1,4 +1,4 @@
-//! Which video track of a file is read.
+//! Selection of the video track of a file.
 
 use std::path::Path;
 
@@ -8,31 +8,33 @@ use crate::ffi::ffmpeg::{FfmpegError, MediaFile, Packet, Stream, StreamKind};
 use crate::memory;
 use crate::scene::{Timed, Topic, Warning};
 
-/// A track with fewer frames than this share of the longest one is not the camera's: cameras recorded together have 15
-/// to 60 frames per second, thumbnails one per second or one in all.
+/// Minimum number of frames of a camera's track, as a share of the longest one's.
+///
+/// Cameras recorded together have 15 to 60 frames per second, thumbnails one per second or a single one.
 const MIN_SHARE: f64 = 0.25;
-/// Packets of one track after which the tracks of a container without counts are compared: ten seconds, by which a
-/// still image or thumbnails have far fewer.
+/// Number of packets of one track after which the tracks of a container without counts are compared.
+///
+/// Ten seconds, in which a still image or thumbnails have far fewer.
 const NUM_COMPARED: u64 = 250;
 
-/// The track that is read.
+/// Selected video track.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Chosen {
     pub(super) stream: Stream,
     /// Number among the video tracks of the file, from 0, as FFmpeg counts them (`-map 0:v:N`).
     pub(super) track: u32,
-    /// Tracks of moving pictures among which it was chosen without being asked for.
+    /// Number of video tracks among which it was selected; 1 if it was requested.
     pub(super) num_candidates: usize,
 }
 
-/// Chooses the video track: the one that is asked for, else the first with about as many frames as any.
+/// Selects the video track: the requested one, else the first with about as many frames as any.
 ///
 /// # Errors
-/// [`VideoError::NoTrack`], [`VideoError::NoPictures`]; those of reading the file again.
+/// [`VideoError::NoTrack`], [`VideoError::NoPictures`]; those of rereading the file.
 pub(super) fn choose(file: &MediaFile, path: &Path, wanted: Option<u32>) -> Result<Chosen, VideoError> {
     let streams = file.streams();
-    let is_picture = |stream: &&Stream| matches!(stream.kind, StreamKind::Video | StreamKind::Cover);
-    let tracks: Vec<(u32, Stream)> = (0..).zip(streams.iter().filter(is_picture).copied()).collect();
+    let is_image = |stream: &&Stream| matches!(stream.kind, StreamKind::Video | StreamKind::Cover);
+    let tracks: Vec<(u32, Stream)> = (0..).zip(streams.iter().filter(is_image).copied()).collect();
     if let Some(wanted) = wanted {
         let found = tracks.iter().find(|(track, _)| *track == wanted);
         let missing = || VideoError::NoTrack { path: path.to_owned(), track: wanted, count: tracks.len() };
@@ -57,12 +59,13 @@ pub(super) fn choose(file: &MediaFile, path: &Path, wanted: Option<u32>) -> Resu
     }
 }
 
-/// Makes something of the packets with a time in the first stream of a kind; `None` if there is no such stream. Nothing
-/// is decoded.
+/// Reads the packets with a time of the first stream of a kind; `None` if there is no such stream.
 ///
-/// * `track` – video track whose clock counts, as [`choose`] takes it.
-/// * `make` – gets the kind of the stream and the content of a packet; returns what is kept, and the bytes that this
-///   owns.
+/// Nothing is decoded.
+///
+/// * `track` – video track whose clock applies, as in [`choose`].
+/// * `make` – converts the content of a packet, given the kind of its stream, to a value and the number of bytes that
+///   the value owns; `None` skips the packet.
 pub(super) fn packets<T>(
     path: &Path,
     track: Option<u32>,
@@ -76,7 +79,7 @@ pub(super) fn packets<T>(
     file.keep_only(stream.index);
     let mut packet = Packet::new()?;
     let (mut found, mut taken) = (Vec::new(), 0);
-    // Telemetry that is read from them takes up as much again.
+    // Telemetry parsed from the packets takes as much memory again.
     let limit = memory::of_machine() / 4;
     while file.read(&mut packet)? {
         let Some(time) = packet.time() else { continue };
@@ -92,7 +95,7 @@ pub(super) fn packets<T>(
     Ok(Some(found))
 }
 
-/// Packets of each track in the beginning of the file.
+/// Number of packets of each track at the beginning of the file.
 fn counted(path: &Path, tracks: &[(u32, Stream)]) -> Result<Vec<u64>, FfmpegError> {
     let (mut file, mut packet) = (MediaFile::open(path)?, Packet::new()?);
     let mut counts = vec![0; tracks.len()];
@@ -105,7 +108,7 @@ fn counted(path: &Path, tracks: &[(u32, Stream)]) -> Result<Vec<u64>, FfmpegErro
 }
 
 impl Chosen {
-    /// Says which track was taken where there are several.
+    /// Warning that names the selected track if there are several.
     pub(super) fn remark(&self) -> Option<Warning> {
         (self.num_candidates > 1).then(|| {
             Topic::SeveralVideoTracks.warning(format!(

@@ -1,4 +1,4 @@
-//! Steps of the views by the factor of a matrix over the points, where these are few (eqs. 8a–8b).
+//! Solver of the view step by factorization of a matrix over the points, for few points (eqs. 8a–8b).
 
 use faer::Par;
 
@@ -13,7 +13,7 @@ pub(in crate::bundle) struct PointsSolver {
     matrix: DenseSolver,
     /// Lower triangles of the Cholesky factors of the views' blocks, row-major, D × D each.
     factors: Vec<f64>,
-    /// Z of every view after the other: D rows, three columns for each point that it sees.
+    /// Z of all views, concatenated: D rows, three columns for each point that the view observes.
     scaled: Vec<f64>,
     /// One entry for each coordinate of each point.
     of_points: Vec<f64>,
@@ -30,7 +30,7 @@ impl PointsSolver {
         }
     }
 
-    /// Solves in place, −b becoming δ. `Err` holds the pivot that is not positive.
+    /// Solves in place, −b becoming δ. `Err` contains the pivot that is not positive.
     pub fn solve<const D: usize>(
         &mut self,
         reduced: &Reduced<D>,
@@ -45,7 +45,7 @@ impl PointsSolver {
     }
 }
 
-/// Fills the matrix and the right-hand side of the points, and leaves L⁻¹ (−b) in `step`.
+/// Fills the matrix and the right-hand side of the points, and writes L⁻¹ (−b) to `step`.
 struct Scale<'a, const D: usize> {
     solver: &'a mut PointsSolver,
     reduced: &'a Reduced<D>,
@@ -95,13 +95,12 @@ impl<const D: usize> Task for Scale<'_, D> {
     }
 }
 
-/// Columns of ZᵀZ that are worked out at a time: what fits the registers next to the three that they are multiplied
-/// with.
+/// Columns of ZᵀZ computed at a time: as many as fit the registers with the three columns they are multiplied by.
 const WIDTH: usize = 12;
 
 /// Subtracts ZᵀZ of one view, by three columns at a time, in the lower triangle.
 ///
-/// * `products` – room for three columns, whatever it holds.
+/// * `products` – scratch space for three columns.
 #[inline(always)]
 fn subtract_products<const D: usize, F: Fused>(
     matrix: &mut DenseSolver,
@@ -186,7 +185,7 @@ impl<const D: usize> Task for Finish<'_, D> {
     }
 }
 
-/// Lower triangle, with zeros above; `Err` holds the pivot that is not positive.
+/// Lower triangle, with zeros above; `Err` contains the pivot that is not positive.
 #[inline(always)]
 fn cholesky<const D: usize>(matrix: &[[f64; D]; D]) -> Result<[[f64; D]; D], usize> {
     let mut factor = [[0.0; D]; D];

@@ -8,7 +8,7 @@ use faer::{Auto, MatMut, MatRef, Par, Spec};
 use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
-/// A symmetric matrix and its Cholesky factor: the lower triangle by columns, factorised in place.
+/// A symmetric matrix and its Cholesky factor: the lower triangle by columns, factorized in place.
 pub(in crate::bundle) struct DenseSolver {
     size: usize,
     /// Distance of columns: not a power of two, whose columns would share cache sets.
@@ -24,12 +24,12 @@ impl DenseSolver {
         Self { size, stride, values: vec![0.0; stride * size], par, scratch: scratch(size, par) }
     }
 
-    /// A column, of which the entries from the diagonal on count.
+    /// A column, of which only the entries from the diagonal on are used.
     pub fn column(&mut self, k: usize) -> &mut [f64] {
         &mut self.values[k * self.stride..][..self.size]
     }
 
-    /// Factorises what the columns hold; `Err` holds the first pivot that is not positive.
+    /// Factorizes the matrix of the columns; `Err` contains the first pivot that is not positive.
     pub fn factor_columns(&mut self) -> Result<(), usize> {
         if self.size == 0 {
             return Ok(());
@@ -50,14 +50,14 @@ impl DenseSolver {
         solve::solve_in_place(factor, rhs, Par::Seq, MemStack::new(&mut self.scratch));
     }
 
-    /// Factorises S; `Err` holds the first pivot that is not positive.
+    /// Factorizes S; `Err` contains the first pivot that is not positive.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         self.copy_views(reduced);
         self.copy_border(reduced);
         self.factor_columns()
     }
 
-    /// Block (i, j) of the upper triangle lies transposed at rows j, columns i of the lower one.
+    /// Copies block (i, j) of the upper triangle, transposed, to rows j, columns i of the lower one.
     fn copy_views<const D: usize>(&mut self, reduced: &Reduced<D>) {
         let views = reduced.views.len();
         for i in 0..views {
@@ -92,13 +92,13 @@ impl DenseSolver {
     }
 }
 
-/// Room to factorise a matrix of a size.
+/// Scratch memory to factorize a matrix of a size.
 pub(super) fn scratch(size: usize, par: Par) -> MemBuffer {
     let params: Spec<LltParams, f64> = Spec::new(Auto::<f64>::auto());
     MemBuffer::new(factor::cholesky_in_place_scratch::<f64>(size, par, params))
 }
 
-/// Factorises the lower triangle of a matrix in place; `Err` holds the first pivot that is not positive.
+/// Factorizes the lower triangle of a matrix in place; `Err` contains the first pivot that is not positive.
 pub(super) fn factor_in_place(matrix: MatMut<'_, f64>, par: Par, scratch: &mut MemBuffer) -> Result<(), usize> {
     let (regularization, params) = (LltRegularization::default(), Spec::new(Auto::<f64>::auto()));
     let done = factor::cholesky_in_place(matrix, regularization, par, MemStack::new(scratch), params);

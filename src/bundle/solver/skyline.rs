@@ -1,16 +1,15 @@
 //! Cholesky of a band, in the order of the views.
 //!
-//! S = L Lᵀ fills nothing outside the envelope of S, from the first block of each row to its diagonal. Neighbouring
-//! views make one *stripe* of L, a dense matrix that begins where the first of them begins, and stripe J follows from
+//! S = L Lᵀ has no fill outside the envelope of S, from the first block of each row to its diagonal. Neighboring views
+//! form one *stripe* of L, a dense matrix that begins at the smallest column of its views. Stripe J is computed from
 //! those before it, block by block:
 //!
 //! ```text
 //! L_JI = (S_JI − Σ_{K<I} L_JK L_IKᵀ) L_II⁻ᵀ,    L_JJ L_JJᵀ = S_JJ − Σ_{K<J} L_JK L_JKᵀ
 //! ```
 //!
-//! (A. George, J. Liu, *Computer Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4). S is written
-//! into the place of L, so that the system takes no memory beyond that of its envelope. Shared cameras are the last
-//! stripe.
+//! (A. George, J. Liu, *Computer Solution of Large Sparse Positive Definite Systems*, 1981, chapter 4). S is copied
+//! into the memory of L, so the system takes no memory beyond that of its envelope. Shared cameras are the last stripe.
 
 use faer::dyn_stack::MemBuffer;
 use faer::linalg::matmul::matmul;
@@ -25,15 +24,15 @@ use crate::bundle::schur::Reduced;
 /// Views of a stripe: wide enough for fast products, and narrow next to a band of a hundred views.
 const VIEWS: usize = 8;
 
-/// Neighbouring rows of L.
+/// Neighboring rows of L.
 struct Stripe {
     /// First row.
     start: usize,
     /// Rows.
     width: usize,
-    /// First column: that of a stripe.
+    /// First column, aligned to a stripe.
     first: usize,
-    /// Columns `first` to the end of the diagonal block, each of `width` entries. Above the diagonal nothing is used.
+    /// Columns `first` to the end of the diagonal block, each of `width` entries; unused above the diagonal.
     values: Vec<f64>,
 }
 
@@ -42,7 +41,7 @@ impl Stripe {
         Self { start, width, first, values: vec![0.0; (start + width - first) * width] }
     }
 
-    /// Place of an entry in `values`.
+    /// Index of an entry in `values`.
     fn place(&self, row: usize, column: usize) -> usize {
         (column - self.first) * self.width + row - self.start
     }
@@ -58,7 +57,7 @@ impl Stripe {
         self.columns(self.start, self.start + self.width)
     }
 
-    /// Brings the columns of another stripe from S to L, given all columns before them.
+    /// Updates the columns of another stripe from S to L, given all columns before them.
     fn eliminate(&mut self, other: &Self) {
         let (width, end) = (self.width, other.start + other.width);
         let from = self.first.max(other.first);
@@ -74,7 +73,7 @@ impl Stripe {
         solve_lower_triangular_in_place(other.diagonal(), own.transpose_mut(), Par::Seq);
     }
 
-    /// Factorises the diagonal block, given all columns before it.
+    /// Factorizes the diagonal block, given all columns before it.
     fn factor(&mut self, scratch: &mut MemBuffer) -> Result<(), usize> {
         let (start, width) = (self.start, self.width);
         let (before, own) = self.values.split_at_mut((start - self.first) * width);
@@ -101,7 +100,7 @@ impl Stripe {
         }
     }
 
-    /// x = L_JJ⁻ᵀ y for the rows of this stripe, whose part is then taken off all y before them.
+    /// x = L_JJ⁻ᵀ y for the rows of this stripe; their contribution is then subtracted from all y before them.
     fn backward(&self, x: &mut [f64]) {
         let (before, own) = x.split_at_mut(self.start);
         let own = &mut own[..self.width];
@@ -116,10 +115,10 @@ impl Stripe {
     }
 }
 
-/// The factor, and what its computation needs.
+/// The factor, and scratch memory for its computation.
 pub(in crate::bundle) struct SkylineSolver {
     size: usize,
-    /// In order; the shared cameras last.
+    /// Stripes in order; the shared cameras last.
     stripes: Vec<Stripe>,
     scratch: MemBuffer,
 }
@@ -142,7 +141,7 @@ impl SkylineSolver {
         Self { size, stripes, scratch: scratch(widest, Par::Seq) }
     }
 
-    /// Factorises S; `Err` holds the first pivot that is not positive.
+    /// Factorizes S; `Err` contains the first pivot that is not positive.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         self.copy_views(reduced);
         self.copy_cameras(reduced);
@@ -156,7 +155,7 @@ impl SkylineSolver {
         Ok(())
     }
 
-    /// Block (i, j) of the upper triangle lies transposed at rows j, columns i.
+    /// Copies block (i, j) of the upper triangle, transposed, to rows j, columns i.
     fn copy_views<const D: usize>(&mut self, reduced: &Reduced<D>) {
         let pattern = &reduced.pattern;
         for (stripe, first_view) in self.stripes.iter_mut().zip((0..reduced.views.len()).step_by(VIEWS)) {

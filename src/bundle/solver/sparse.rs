@@ -1,4 +1,4 @@
-//! Sparse supernodal Cholesky with a symbolic factorisation that is found once.
+//! Sparse supernodal Cholesky with a symbolic factorization computed once.
 
 use faer::dyn_stack::{MemBuffer, MemStack};
 use faer::linalg::cholesky::llt::factor::{LltError, LltParams, LltRegularization};
@@ -12,8 +12,10 @@ use faer::{Auto, Conj, MatMut, Par, Side, Spec};
 use crate::bundle::camera_sums::CAMERA_DIM;
 use crate::bundle::schur::Reduced;
 
-/// Upper triangle in compressed columns, symbolic and numeric factor. On one thread: the supernodes of a band follow
-/// from one another, and a second thread was measured to slow them down.
+/// Upper triangle in compressed columns, symbolic and numeric factor.
+///
+/// It runs on one thread: the supernodes of a band depend on one another, and a second thread was measured to slow them
+/// down.
 pub(in crate::bundle) struct SparseSolver {
     size: usize,
     column_start: Vec<usize>,
@@ -26,7 +28,7 @@ pub(in crate::bundle) struct SparseSolver {
 }
 
 impl SparseSolver {
-    /// Finds order and fill; `None` if memory runs out.
+    /// Computes ordering and fill; `None` if memory runs out.
     pub fn new<const D: usize>(reduced: &Reduced<D>) -> Option<Self> {
         let size = reduced.size();
         let (column_start, rows) = structure(reduced);
@@ -43,7 +45,7 @@ impl SparseSolver {
         Some(Self { size, column_start, rows, values, symbolic, factor, scratch, solve_scratch })
     }
 
-    /// Factorises S; `Err` holds the first pivot that is not positive, in the order of the factorisation.
+    /// Factorizes S; `Err` contains the first pivot that is not positive, in the order of the factorization.
     pub fn factor<const D: usize>(&mut self, reduced: &Reduced<D>) -> Result<(), usize> {
         fill(reduced, &mut self.values);
         let pattern = SymbolicSparseColMatRef::new_checked(self.size, self.size, &self.column_start, None, &self.rows);

@@ -13,7 +13,7 @@ use super::super::simd::Two;
 use super::super::state::State;
 use super::*;
 
-/// The inverse of JᵀJ over all freedoms that are not held, with six rows per pose, from the same Jacobians.
+/// The inverse of JᵀJ over all free parameters, with six rows per pose, from the same Jacobians.
 fn whole_inverse(problem: &Problem, options: &Options) -> (Layout, DMatrix<f64>) {
     let layout = Layout::new(problem, options, false);
     let state = State::new(problem, &layout);
@@ -93,7 +93,7 @@ fn those_of_intrinsics_are_blocks_of_the_inverse_normal_matrix() {
         }
     }
     assert!((0..6).all(|k| found[(2, k)] == 0.0 && found[(3, k)] == 0.0), "the principal point is held: {found}");
-    // A camera of its own for every image sits in the view blocks, and its covariance is a block of the same inverse.
+    // Intrinsics of a camera per image are in the view blocks; their covariance is a block of the same inverse.
     let own = scene::Options { camera_per_image: true, ..options };
     let (_, mut problem) = disturbed(&own, CameraBlock::free_focal_and_radial);
     adjust(&mut problem, &tight()).unwrap();
@@ -117,7 +117,7 @@ fn deviations_of_centres_follow_from_the_residuals() {
     });
     let expected = of_poses(&problem, &[1, 4, 7]).unwrap();
     for (deviation, covariance) in found.centers.values().zip(expected) {
-        // Here observations err by themselves, and groups of them say about the same.
+        // Here observation errors are independent, and the grouped estimate is about the same.
         let expected = found.pixel_px * covariance.center.trace().sqrt();
         assert!((0.999..1.7).contains(&(deviation / expected)), "{deviation} and {expected}");
     }
@@ -131,7 +131,7 @@ fn they_predict_the_scatter_of_repeated_adjustments() {
     let options = scene::Options { num_images: 5, num_points: 40, ..Default::default() };
     // Two held poses make the gauge the same in every run.
     let problem_of = |seed: u64| {
-        // The same world every time, with noise of its own.
+        // The same world every time, with independent noise.
         let mut exact = static_scene(&options);
         let mut rng = crate::math::seeded_rng(seed, 99);
         for o in exact.images.values_mut().flat_map(|i| &mut i.observations) {
@@ -175,7 +175,7 @@ fn what_is_held_or_undetermined_has_none() {
     ] {
         assert_eq!(covariances(&held, &tight(), &wanted), Err(BundleError::NoCovariance { what, index }));
     }
-    // A pose that sees one point only is not determined.
+    // A pose that observes one point only is not determined.
     let mut lonely = problem.clone();
     let kept = problem.observations.iter().position(|o| o.pose == 5).unwrap();
     lonely.observations =
@@ -183,7 +183,7 @@ fn what_is_held_or_undetermined_has_none() {
     assert!(matches!(of_poses(&lonely, &[5]), Err(BundleError::Singular { .. })));
 }
 
-/// Points of a part of the picture that slide together leave hardly larger residuals, but cameras that are further off.
+/// Points of one part of the image that slide together hardly increase residuals, but increase camera errors.
 #[test]
 fn what_errs_together_makes_centres_less_sure() {
     let options = scene::Options { num_images: 8, num_points: 400, noise_px: 0.3, ..Default::default() };
@@ -209,7 +209,7 @@ fn what_errs_together_makes_centres_less_sure() {
     assert!(of_centres > 1.5 * of_pixels, "{of_centres} {of_pixels}");
 }
 
-/// The share of the intrinsics is what an adjustment with other intrinsics moves, but for a similarity.
+/// The intrinsics' contribution equals the displacement by an adjustment with other intrinsics, up to a similarity.
 #[test]
 fn intrinsics_move_centers_as_their_share_says() {
     let options = scene::Options { num_images: 8, num_points: 200, noise_px: 0.2, ..Default::default() };
@@ -225,7 +225,7 @@ fn intrinsics_move_centers_as_their_share_says() {
     const CHANGE: f64 = 0.5;
     let ((mut problem, before), (_, after)) = (centers_with(0.0), centers_with(CHANGE));
     let similarity = umeyama(&after, &before).unwrap();
-    // Free, and known to so much that the observations say nothing.
+    // Free, with a prior so strong that the observations add no information.
     problem.cameras[0].free[2] = true;
     let mut sigma = [f64::INFINITY; 6];
     sigma[2] = 1e-6;

@@ -125,7 +125,7 @@ fn plane_priors() {
     check_jacobian("plane prior", moved, jacobian, [1e-6; 6]);
 }
 
-/// Of no special place or direction.
+/// A plane prior of arbitrary position and direction.
 fn plane_through(point: Point3<f64>) -> PlanePrior {
     PlanePrior {
         pose: 1,
@@ -139,8 +139,9 @@ fn plane_through(point: Point3<f64>) -> PlanePrior {
     }
 }
 
-/// The whole cost, priors and robust loss included, against the gradient that the solver works with; and the path
-/// without derivatives against the one with them.
+/// Finite differences of the whole cost, priors and robust loss included, against the solver's gradient.
+///
+/// Also compares the cost-only code path with the one that computes derivatives.
 #[test]
 fn the_gradient_is_that_of_the_cost() {
     for camera_per_image in [false, true] {

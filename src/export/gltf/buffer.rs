@@ -1,9 +1,9 @@
-//! The binary part of a glTF file, and what describes it.
+//! The binary part of a glTF file, with its buffer views and accessors.
 
 use nalgebra::{Point3, Vector3};
 use serde_json::{Value, json};
 
-/// Bytes, and where in them lies what.
+/// Binary data with its buffer views and accessors.
 #[derive(Default)]
 pub(super) struct Buffer {
     pub(super) bytes: Vec<u8>,
@@ -12,7 +12,7 @@ pub(super) struct Buffer {
 }
 
 impl Buffer {
-    /// Adds positions; gives their accessor.
+    /// Adds positions; returns their accessor.
     pub(super) fn positions(&mut self, points: &[Point3<f64>]) -> usize {
         let values: Vec<[f32; 3]> = points.iter().map(|point| narrow(point.coords)).collect();
         let bound = |pick: fn(f32, f32) -> f32| {
@@ -23,18 +23,18 @@ impl Buffer {
         self.floats(&values, "VEC3", bounds)
     }
 
-    /// Adds vectors; gives their accessor.
+    /// Adds vectors; returns their accessor.
     pub(super) fn vectors(&mut self, vectors: &[Vector3<f64>]) -> usize {
         let values: Vec<[f32; 3]> = vectors.iter().map(|vector| narrow(*vector)).collect();
         self.floats(&values, "VEC3", json!({}))
     }
 
-    /// Adds unit quaternions, scalar last; gives their accessor.
+    /// Adds unit quaternions, scalar last; returns their accessor.
     pub(super) fn quaternions(&mut self, quaternions: &[[f32; 4]]) -> usize {
         self.floats(quaternions, "VEC4", json!({}))
     }
 
-    /// Adds times, ascending; gives their accessor.
+    /// Adds times, ascending; returns their accessor.
     pub(super) fn times(&mut self, times_s: &[f64]) -> usize {
         let values: Vec<[f32; 1]> = times_s.iter().map(|time_s| [*time_s as f32]).collect();
         let end = |time: Option<&[f32; 1]>| time.copied().unwrap_or_default();
@@ -42,8 +42,8 @@ impl Buffer {
         self.floats(&values, "SCALAR", bounds)
     }
 
-    /// Adds colours of pictures; gives their accessor. glTF has amounts of light instead, as the curve of sRGB
-    /// (IEC 61966-2-1) makes them.
+    /// Adds sRGB colors; returns their accessor. glTF uses linear light instead, converted by the sRGB transfer
+    /// function (IEC 61966-2-1).
     pub(super) fn colours(&mut self, colours: &[[u8; 3]]) -> usize {
         let light = |value: u8| (linear(value) * f64::from(u16::MAX)).round() as u16;
         let bytes = colours.iter().flat_map(|&[r, g, b]| [light(r), light(g), light(b), u16::MAX]);
@@ -62,7 +62,7 @@ impl Buffer {
     fn add(&mut self, bytes: &[u8], count: usize, accessor: Value, bounds: Value) -> usize {
         self.views.push(json!({ "buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len() }));
         self.bytes.extend_from_slice(bytes);
-        // Every part begins at a multiple of four, as its numbers do.
+        // Every part is aligned to four bytes, as its numbers are.
         self.bytes.resize(self.bytes.len().next_multiple_of(4), 0);
         let mut whole = json!({ "bufferView": self.views.len() - 1, "count": count });
         for part in [accessor, bounds] {
@@ -75,12 +75,12 @@ impl Buffer {
     }
 }
 
-/// The numbers of a file; what is beyond their range stays at its end.
+/// Converts to single precision; values beyond its range are clamped.
 fn narrow(vector: Vector3<f64>) -> [f32; 3] {
     vector.map(|value| value.clamp(f64::from(f32::MIN), f64::from(f32::MAX)) as f32).into()
 }
 
-/// The amount of light, 0 to 1, of a value of sRGB.
+/// Linear light, 0 to 1, of an sRGB value.
 pub(super) fn linear(value: u8) -> f64 {
     let value = f64::from(value) / 255.0;
     if value <= 0.04045 { value / 12.92 } else { ((value + 0.055) / 1.055).powf(2.4) }

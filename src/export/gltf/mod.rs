@@ -1,11 +1,11 @@
-//! A scene in motion: glTF 2.0 in one binary file (`.glb`), which Blender and browsers open.
+//! An animated scene: glTF 2.0 in one binary file (`.glb`), which Blender and browsers open.
 //!
-//! glTF has y up and metres; the scene has metres where they are known, else units of the background, which
-//! `asset.extras.unit` says. With a map x points east and −z north. The background's points stand still; the camera and
-//! each vehicle are nodes that one animation moves. A vehicle is shown from its first frame to its last: outside its
-//! scale is 0, which glTF means by "not to be seen". Its node holds the points of its model and a box round them.
+//! glTF uses y up and meters; the scene has meters where they are known, else units of the background, as stated in
+//! `asset.extras.unit`. With a map x points east and −z north. The background's points are static; one animation moves
+//! the nodes of the camera and each vehicle. A vehicle is visible from its first frame to its last: outside, its scale
+//! is 0, glTF's convention for hidden nodes. Its node holds the points of its model and their bounding box.
 //!
-//! The two crates for glTF are readers; what is written here is a few tables of JSON over one buffer.
+//! The two crates for glTF are readers; a writer needs only a few tables of JSON over one buffer.
 
 mod buffer;
 mod scene;
@@ -25,7 +25,7 @@ use scene::Scene;
 /// The models of the vehicles that have a trajectory.
 ///
 /// # Errors
-/// A model that is there and damaged. One that is not there leaves a vehicle without points.
+/// A damaged model. A missing one leaves a vehicle without points.
 pub(super) fn models(folder: &RunFolder, results: &Results) -> Result<BTreeMap<ObjectId, Reconstruction>, ExportError> {
     let model = |object: &ObjectTrajectory| {
         there(folder.read_object(object.id)).map(|found| found.map(|model| (object.id, model))).transpose()

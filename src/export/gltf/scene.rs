@@ -1,4 +1,4 @@
-//! The nodes, meshes and movements of a scene.
+//! The nodes, meshes and animations of a scene.
 
 use std::collections::BTreeMap;
 use std::f64::consts::FRAC_PI_2;
@@ -21,10 +21,10 @@ pub(super) enum Mode {
     LineStrip = 3,
 }
 
-/// A scene in the making.
+/// A scene under construction.
 pub(super) struct Scene<'a> {
     results: &'a Results,
-    /// Takes the background's frame into that of the scene, y up.
+    /// Transform from the background's frame to that of the scene, y up.
     scene_from_world: Sim3,
     pub(super) buffer: Buffer,
     nodes: Vec<Value>,
@@ -36,7 +36,7 @@ pub(super) struct Scene<'a> {
 }
 
 impl<'a> Scene<'a> {
-    /// Of results and the models of their vehicles.
+    /// Builds the scene of results and the models of their vehicles.
     pub(super) fn of(results: &'a Results, models: &BTreeMap<ObjectId, Reconstruction>) -> Self {
         let mut scene = Self {
             results,
@@ -79,7 +79,7 @@ impl<'a> Scene<'a> {
                 { "name": "drive", "samplers": self.samplers, "channels": self.channels }
             ]);
         }
-        // A list that is there must hold something.
+        // glTF forbids empty lists.
         if let Some(document) = document.as_object_mut() {
             document.retain(|_, value| value.as_array().is_none_or(|list| !list.is_empty()));
         }
@@ -127,7 +127,7 @@ impl<'a> Scene<'a> {
         self.add_path("camera path", &places, Mode::LineStrip, [240, 200, 40]);
     }
 
-    /// A node that moves, and the line that it draws.
+    /// Adds an animated node, and the line of its path.
     fn add_vehicle(&mut self, object: &ObjectTrajectory, model: Option<&Reconstruction>) {
         let Some(first) = object.poses.first() else { return };
         let name = object.name();
@@ -168,7 +168,7 @@ impl<'a> Scene<'a> {
         self.add_path(&format!("path of {name}"), &centers, Mode::LineStrip, colour);
     }
 
-    /// A point that moves over the ground, and its path as a dashed line.
+    /// Adds a point moving over the ground, and its path as a dashed line.
     fn add_ground_track(&mut self, track: &GroundTrack) {
         let places: Vec<_> =
             track.positions.iter().map(|at| self.scene_from_world * Point3::from(at.position)).collect();
@@ -190,7 +190,7 @@ impl<'a> Scene<'a> {
         }));
         self.animate(index, &times, &places, &vec![UnitQuaternion::identity(); places.len()]);
         self.show_while(index, &times, 1.0);
-        // Every other piece.
+        // Every other segment.
         let dashes: Vec<_> = places.windows(2).step_by(2).flatten().copied().collect();
         self.add_path(&format!("path of {name}"), &dashes, Mode::Lines, colour);
     }
@@ -202,13 +202,13 @@ impl<'a> Scene<'a> {
         }
     }
 
-    /// A node that shows one primitive.
+    /// Adds a node with one primitive.
     fn add_mesh(&mut self, name: &str, primitive: Value) {
         let mesh = self.mesh(name, vec![primitive]);
         self.nodes.push(json!({ "name": name, "mesh": mesh }));
     }
 
-    /// Points with colours of their own; `None` without points.
+    /// Adds a mesh of colored points; `None` without points.
     fn cloud(&mut self, points: &[Point3<f64>], colours: &[[u8; 3]]) -> Option<Value> {
         if points.is_empty() {
             return None;
@@ -229,7 +229,7 @@ impl<'a> Scene<'a> {
         self.meshes.len() - 1
     }
 
-    /// A colour that no light changes.
+    /// Adds an unlit material of one color.
     fn material(&mut self, colour: [u8; 3]) -> usize {
         let [r, g, b] = colour.map(linear);
         self.materials.push(json!({
@@ -270,31 +270,31 @@ impl<'a> Scene<'a> {
         self.channels.push(json!({ "sampler": sampler, "target": { "node": node, "path": path } }));
     }
 
-    /// The camera's near plane: a share of its distance to the middle of the points.
+    /// Distance of the camera's near plane.
     fn near(&self, view: &RegisteredFrame) -> f64 {
         let center = view.cam_from_world.center();
         let distances = self.results.background.points.values().map(|point| (point.position - center).norm());
         let middle = crate::math::median(distances.collect()).unwrap_or(1.0);
-        // The camera's near plane, as a share of its distance to the middle of the points.
+        // Distance of the near plane, as a share of the camera's median distance to the points.
         (1e-3 * middle * self.scene_from_world.scale).max(f64::from(f32::MIN_POSITIVE))
     }
 }
 
-/// Indices of the points that are no outliers, by their distance from the median point: at most three times that within
-/// which 95 % of them are. Views of the whole scene, which programs open with, would show a dot.
+/// Indices of the inliers by distance from the median point: at most three times the 95 % quantile. With the outliers
+/// the scene would be a dot in the initial view of programs, which fits the whole scene.
 fn near_points(points: &[Point3<f64>]) -> Vec<usize> {
     let middle = |axis: usize| crate::math::median(points.iter().map(|point| point[axis]).collect()).unwrap_or(0.0);
     let center = Point3::new(middle(0), middle(1), middle(2));
     let distances: Vec<f64> = points.iter().map(|point| (point - center).norm()).collect();
     let mut sorted = distances.clone();
     sorted.sort_by(f64::total_cmp);
-    // Points beyond so many times the distance within which 95 % of them lie are outliers: views of the
-    // whole scene, which programs open with, would show a dot.
+    // Outlier limit as a multiple of the 95 % quantile of the distances: with the outliers the scene would be a
+    // dot in the initial view of programs, which fits the whole scene.
     let limit = sorted.get((0.95 * points.len() as f64) as usize).map_or(0.0, |near| 3.0 * near);
     (0..points.len()).filter(|&index| distances[index] <= limit).collect()
 }
 
-/// Metres, y up; without metres the background's frame, turned so that the mean normal of the ground, or else the mean
+/// Meters, y up; without meters the background's frame, rotated so that the mean normal of the ground, or else the mean
 /// of the camera's upward direction, points up.
 fn scene_from_world(results: &Results) -> Sim3 {
     if results.metric_frame().is_some() {
@@ -302,7 +302,7 @@ fn scene_from_world(results: &Results) -> Sim3 {
         return Sim3::new(1.0, y_up_from_z_up, Vector3::zeros()) * results.export_from_world();
     }
     let up = upward(results);
-    // Of two rotations by half a turn each will do.
+    // Of the two rotations by half a turn either is valid.
     let half = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI);
     let rotation = UnitQuaternion::rotation_between(&up, &Vector3::y()).unwrap_or(half);
     Sim3::new(1.0, rotation, Vector3::zeros())
@@ -316,8 +316,7 @@ fn upward(results: &Results) -> Vector3<f64> {
     up.try_normalize(1e-9).unwrap_or(-Vector3::y())
 }
 
-/// Quaternions of which each is the nearer one of its two signs to the one before: what lies between two is then the
-/// shorter way.
+/// Quaternions with signs chosen nearest to the preceding one: interpolation then takes the shorter arc.
 fn without_flips(turns: &[UnitQuaternion<f64>]) -> Vec<[f32; 4]> {
     let mut all: Vec<nalgebra::Quaternion<f64>> = Vec::with_capacity(turns.len());
     for turn in turns {

@@ -1,4 +1,4 @@
-//! Scenes, read back from their bytes.
+//! Tests of scenes read back from their bytes.
 
 use super::*;
 use crate::export::testing::{models_of, results_of, with_metres};
@@ -36,14 +36,14 @@ fn the_scene_holds_points_camera_and_moving_vehicles() {
         assert_eq!(names.len(), 7, "{names:?}");
         assert_eq!((&names[1], &names[3]), (&"camera".into(), &"car 1".into()));
         let animation = &document["animations"][0];
-        // Place and turn of the camera, and of two vehicles, which come and go besides.
+        // Position and rotation of the camera and of two vehicles, and the visibility of the latter.
         assert_eq!(animation["channels"].as_array().unwrap().len(), 8);
         let times = floats(&document, &buffer, &animation["samplers"][2]["input"]);
         let places = floats(&document, &buffer, &animation["samplers"][2]["output"]);
         let poses = &results.trajectories.objects[0].poses;
         assert_eq!((times.len(), places.len()), (poses.len(), 3 * poses.len()));
         assert!((f64::from(times[2]) - poses[2].time_s).abs() < 1e-6);
-        // In metres y is the height.
+        // In meters y is the height.
         if let Some(frame) = results.metric_frame() {
             let origin = frame.metric_from_world() * nalgebra::Point3::from(poses[2].world_from_object.translation);
             assert!((f64::from(places[7]) - origin.z).abs() < 1e-4);
@@ -52,7 +52,7 @@ fn the_scene_holds_points_camera_and_moving_vehicles() {
 }
 
 #[test]
-fn what_is_not_there_is_left_out() {
+fn missing_parts_are_omitted() {
     let mut results = results_of(&showcase(12, 1));
     results.trajectories.objects.clear();
     results.views.clear();

@@ -1,11 +1,11 @@
-//! The box round a vehicle's points.
+//! Bounding box of a vehicle's points.
 
 use nalgebra::{Matrix3, Point3, Vector3};
 
 use crate::math::Sim3;
 
-/// The twelve edges of a box round most of the points, two ends each, in the object's frame: upright in the scene, and
-/// along the way that the vehicle goes. `None` without points.
+/// The twelve edges of a box around most of the points, two ends each, in the object's frame: upright in the scene, and
+/// along the direction of motion. `None` without points.
 ///
 /// * `scene_from_object` – its poses, y up.
 pub(super) fn box_edges(points: &[Point3<f64>], scene_from_object: &[Sim3]) -> Option<Vec<Point3<f64>>> {
@@ -15,7 +15,7 @@ pub(super) fn box_edges(points: &[Point3<f64>], scene_from_object: &[Sim3]) -> O
     for (k, axis) in axes.column_iter().enumerate() {
         let mut along: Vec<f64> = points.iter().map(|point| axis.dot(&point.coords)).collect();
         along.sort_by(f64::total_cmp);
-        // A few points are always wrong.
+        // Trims outliers: a few points are always wrong.
         let outside = (0.02 * along.len() as f64) as usize;
         (low[k], high[k]) = (*along.get(outside)?, *along.get(along.len() - 1 - outside)?);
     }
@@ -27,7 +27,7 @@ pub(super) fn box_edges(points: &[Point3<f64>], scene_from_object: &[Sim3]) -> O
     Some(edges.flat_map(|(a, b)| [corner(a), corner(b)]).collect())
 }
 
-/// Right-handed axes of the object: along its way, up, across; columns. `None` if it has no poses.
+/// Right-handed axes of the object as columns: along its path, up, across. `None` without poses.
 fn axes(scene_from_object: &[Sim3]) -> Option<Matrix3<f64>> {
     let to_object = |pose: &Sim3, direction: Vector3<f64>| pose.rotation.inverse() * direction;
     let up: Vector3<f64> = scene_from_object.iter().map(|pose| to_object(pose, Vector3::y())).sum();
@@ -35,7 +35,7 @@ fn axes(scene_from_object: &[Sim3]) -> Option<Matrix3<f64>> {
     let steps = scene_from_object.windows(2);
     let ahead: Vector3<f64> = steps.map(|pair| to_object(&pair[0], pair[1].translation - pair[0].translation)).sum();
     let level = |direction: Vector3<f64>| (direction - up * up.dot(&direction)).try_normalize(1e-9);
-    // One that stands may point anywhere.
+    // The heading of a stationary vehicle is arbitrary.
     let ahead = level(ahead).or_else(|| level(Vector3::x())).or_else(|| level(Vector3::z()))?;
     Some(Matrix3::from_columns(&[ahead, up, ahead.cross(&up)]))
 }
@@ -46,7 +46,7 @@ mod tests {
     use nalgebra::UnitQuaternion;
 
     #[test]
-    fn the_box_is_upright_and_along_the_way() {
+    fn box_is_upright_and_along_the_path() {
         let turn = UnitQuaternion::from_euler_angles(0.4, -0.3, 0.9);
         let pose = |k: f64| Sim3::new(2.0, turn, Vector3::new(k, 0.0, k));
         let points: Vec<_> = (0..8)

@@ -1,4 +1,4 @@
-//! Pictures in red, green and blue.
+//! Conversion of decoded images to RGB.
 
 use std::ffi::c_int;
 use std::ptr;
@@ -8,26 +8,26 @@ use ffmpeg_sys_the_third as sys;
 
 use super::{Decoder, FfmpegError, checked};
 
-/// `SWS_BICUBIC`, which has another Rust type in newer versions of the library, and the same value.
+/// `SWS_BICUBIC`: newer versions of the library give it another Rust type, with the same value.
 pub(super) const BICUBIC: c_int = 4;
 
-/// Turns decoded pictures of any format into 8-bit red, green and blue.
+/// Converts decoded images of any pixel format to 8-bit RGB.
 ///
-/// Luma and chroma are taken as those of ITU-R BT.601, whatever the file says, chroma by the nearest sample where the
-/// library has a short way for the format. These are the pixels that OpenCV's reader gives, and that is why blue comes
-/// first inside: where it dithers, the library rounds the other order differently.
+/// Luma and chroma are interpreted by ITU-R BT.601, whatever the file declares. Chroma comes from the nearest sample if
+/// the library has a fast path for the format. The pixels equal those of OpenCV's reader. For the same reason the
+/// internal order is BGR: when the library dithers, it rounds the RGB order differently.
 pub struct RgbConverter {
     context: *mut sys::SwsContext,
     target: *mut sys::AVFrame,
 }
 
-// SAFETY: context and frame are owned and have no ties to the thread that made them.
+// SAFETY: context and frame are owned and not bound to the thread that created them.
 #[allow(unsafe_code)]
 unsafe impl Send for RgbConverter {}
 
 #[allow(unsafe_code)]
 impl RgbConverter {
-    /// A converter, which adapts itself to what it is given.
+    /// Creates a converter, which adapts to the size and format of each image.
     ///
     /// # Errors
     /// [`FfmpegError::Memory`].
@@ -37,15 +37,15 @@ impl RgbConverter {
         if target.is_null() { Err(FfmpegError::Memory) } else { Ok(Self { context: ptr::null_mut(), target }) }
     }
 
-    /// The picture that the decoder is at.
+    /// Converts the decoder's current image.
     ///
     /// # Errors
-    /// [`FfmpegError::Convert`] for formats of pixels that the library does not know, [`FfmpegError::Memory`].
+    /// [`FfmpegError::Convert`] for pixel formats that the library does not know, [`FfmpegError::Memory`].
     pub fn convert(&mut self, decoder: &Decoder) -> Result<RgbImage, FfmpegError> {
         self.convert_rows(decoder, 1)
     }
 
-    /// The upper field of an interlaced picture: its even rows, with the chroma that belongs to them.
+    /// Converts the upper field of an interlaced image: its even rows, with their chroma.
     ///
     /// # Errors
     /// As [`Self::convert`].
@@ -53,7 +53,7 @@ impl RgbConverter {
         self.convert_rows(decoder, 2)
     }
 
-    /// Every `step`-th row of each plane, as a picture of its own.
+    /// Converts every `step`-th row of each plane to an image.
     fn convert_rows(&mut self, decoder: &Decoder, step: c_int) -> Result<RgbImage, FfmpegError> {
         // SAFETY: the decoder's frame is allocated.
         let (width, height, format) =
@@ -62,11 +62,11 @@ impl RgbConverter {
         if width <= 0 || height <= 0 {
             return Err(failed("frame is empty"));
         }
-        // Of each plane the first row is taken, so that none has fewer rows than are asked for, rounded up.
+        // The first row of each plane is used: no plane has fewer rows than requested, rounded up.
         let height = (height - 1) / step + 1;
         self.allocate(width, height)?;
-        // SAFETY: reuses the context or makes a new one for the sizes and formats given; source and target frames have
-        // planes of those sizes and formats, aligned by FFmpeg itself.
+        // SAFETY: reuses the context or creates a new one for the given sizes and formats; source and target frames
+        // have planes of those sizes and formats, aligned by FFmpeg itself.
         let num_rows = unsafe {
             let bgr = sys::AVPixelFormat::BGR24;
             self.context = sys::sws_getCachedContext(
@@ -94,9 +94,9 @@ impl RgbConverter {
         if num_rows == height { Ok(self.copied(width as u32, height as u32)) } else { Err(failed("frame is damaged")) }
     }
 
-    /// Makes the target one of the size asked for.
+    /// Allocates a target frame of the requested size.
     fn allocate(&mut self, width: c_int, height: c_int) -> Result<(), FfmpegError> {
-        // SAFETY: the frame is allocated; its buffer is given back before another one is asked for.
+        // SAFETY: the frame is allocated; its buffer is released before another one is requested.
         unsafe {
             if ((*self.target).width, (*self.target).height) == (width, height) {
                 return Ok(());
@@ -112,7 +112,7 @@ impl RgbConverter {
         Ok(())
     }
 
-    /// The rows of the target without the gaps between them, red first.
+    /// Copies the rows of the target without the padding between them, in RGB order.
     fn copied(&self, width: u32, height: u32) -> RgbImage {
         let mut image = RgbImage::new(width, height);
         let row_bytes = width as usize * 3;

@@ -1,4 +1,4 @@
-//! The decoder of one video stream.
+//! Decoder of one video stream.
 
 use std::ffi::CStr;
 use std::ptr;
@@ -7,41 +7,44 @@ use ffmpeg_sys_the_third as sys;
 
 use super::{FfmpegError, MediaFile, Packet, checked, is_short_of_memory, lacks_memory, stated, words};
 
-/// Failures in a row after which a decoder that is being emptied is taken to be empty.
+/// Number of consecutive failures after which a decoder that is being drained counts as empty.
 const MAX_FAILURES: u32 = 1000;
-/// Pixels of a picture, four times those of the largest video cameras: a damaged head may state more than memory holds.
+/// Maximum pixels of an image, four times those of the largest video cameras.
+///
+/// The size in a damaged header may exceed the memory.
 const MAX_PIXELS: i64 = 1 << 27;
 
 /// Purpose of decoding.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Purpose {
-    /// To be looked at.
+    /// Images are converted and used.
     Pictures,
-    /// To know which there are, and when: edges between blocks are not smoothed, which takes a quarter of the time and
-    /// loses no picture.
+    /// Only the frames and their times are listed.
+    ///
+    /// Deblocking is skipped, which takes a quarter of the time and loses no frame.
     Times,
 }
 
-/// Decodes the packets of one video stream, picture by picture, in the order in which they are shown.
+/// Decodes the packets of one video stream, image by image, in presentation order.
 ///
-/// It works on the caller's thread alone. With threads of its own FFmpeg decodes whole videos to the same pixels, but
-/// damaged ones, whose gaps it fills from what lies around them, to others from run to run.
+/// It works on the caller's thread alone. With several threads, FFmpeg decodes intact videos to the same pixels. The
+/// pixels of damaged ones, whose gaps it fills from their surroundings, vary from run to run.
 pub struct Decoder {
     context: *mut sys::AVCodecContext,
     pub(super) frame: *mut sys::AVFrame,
     is_drained: bool,
-    /// Packets handed over, and pictures that came of them.
+    /// Numbers of packets sent to the decoder, and of images received.
     num_packets: u64,
-    num_pictures: u64,
+    num_images: u64,
 }
 
-// SAFETY: context and frame are owned; the decoder's own threads are FFmpeg's concern.
+// SAFETY: context and frame are owned; the decoder's own threads are managed by FFmpeg.
 #[allow(unsafe_code)]
 unsafe impl Send for Decoder {}
 
 #[allow(unsafe_code)]
 impl Decoder {
-    /// A decoder for a stream of a file.
+    /// Creates a decoder for a stream of a file.
     ///
     /// # Errors
     /// [`FfmpegError::NoDecoder`], [`FfmpegError::Decoder`], [`FfmpegError::Memory`].
@@ -55,15 +58,15 @@ impl Decoder {
         if codec.is_null() {
             return Err(FfmpegError::NoDecoder(name.to_string_lossy().into_owned()));
         }
-        // SAFETY: both calls allocate, or return null; what is allocated is freed by `drop`.
+        // SAFETY: both calls allocate, or return null; `drop` frees the allocations.
         let decoder = unsafe {
             let (context, frame) = (sys::avcodec_alloc_context3(codec), sys::av_frame_alloc());
-            Self { context, frame, is_drained: false, num_packets: 0, num_pictures: 0 }
+            Self { context, frame, is_drained: false, num_packets: 0, num_images: 0 }
         };
         if decoder.context.is_null() || decoder.frame.is_null() {
             return Err(FfmpegError::Memory);
         }
-        // SAFETY: the context is new and not open yet, as setting what limits it asks for.
+        // SAFETY: the context is new and not open yet, which setting its limits requires.
         let opened = unsafe {
             checked(sys::avcodec_parameters_to_context(decoder.context, parameters)).and_then(|_| {
                 (*decoder.context).thread_count = 1;
@@ -78,21 +81,22 @@ impl Decoder {
         Ok(decoder)
     }
 
-    /// Goes to the next picture, reading from `file`, whose other streams are skipped. `false` after the last one,
-    /// or where nothing more can be decoded; damaged packets are skipped.
+    /// Advances to the next image, reading from `file`, whose other streams are skipped.
+    ///
+    /// Returns `false` after the last one, or if nothing more can be decoded; damaged packets are skipped.
     ///
     /// # Errors
-    /// [`FfmpegError::Memory`]: a picture that is lost for lack of memory is not lost for good.
+    /// [`FfmpegError::Memory`]: an image that is lost for lack of memory may be decodable in another run.
     pub fn advance(&mut self, file: &mut MediaFile, packet: &mut Packet) -> Result<bool, FfmpegError> {
         let mut num_failures = 0;
         loop {
             // SAFETY: context and frame are allocated, and the context is open.
             match checked(unsafe { sys::avcodec_receive_frame(self.context, self.frame) }) {
                 Ok(_) => {
-                    self.num_pictures += 1;
+                    self.num_images += 1;
                     return Ok(true);
                 }
-                Err(sys::AVERROR_EOF) if self.num_pictures < self.num_packets && lacks_memory() => {
+                Err(sys::AVERROR_EOF) if self.num_images < self.num_packets && lacks_memory() => {
                     return Err(FfmpegError::Memory);
                 }
                 Err(sys::AVERROR_EOF) => return Ok(false),
@@ -106,7 +110,7 @@ impl Decoder {
         }
     }
 
-    /// Hands the next packet to the decoder, or tells it that there is none. A packet that it refuses is lost.
+    /// Sends the next packet to the decoder, or the end of the stream. A packet that it rejects is lost.
     fn feed(&mut self, file: &mut MediaFile, packet: &mut Packet) -> Result<(), FfmpegError> {
         self.is_drained = !file.read(packet)?;
         self.num_packets += u64::from(!self.is_drained);
@@ -118,20 +122,22 @@ impl Decoder {
         }
     }
 
-    /// Width and height of the picture as it is coded, pixels.
+    /// Coded width and height of the image, pixels.
     pub fn size(&self) -> (u32, u32) {
         // SAFETY: the frame is allocated as long as `self` lives.
         let (width, height) = unsafe { ((*self.frame).width, (*self.frame).height) };
         (u32::try_from(width).unwrap_or(0), u32::try_from(height).unwrap_or(0))
     }
 
-    /// The picture is declared to consist of two fields.
+    /// Returns true if the image is declared to consist of two fields.
     pub fn is_interlaced(&self) -> bool {
         // SAFETY: as above.
         is_interlaced(unsafe { &*self.frame })
     }
 
-    /// The time stamp of the picture, in ticks of its stream: the one stated, else what FFmpeg makes of its neighbours.
+    /// Time stamp of the image, in ticks of its stream.
+    ///
+    /// The declared one, else FFmpeg's estimate from neighboring frames.
     pub fn time(&self) -> Option<i64> {
         // SAFETY: the frame is allocated as long as `self` lives.
         stated(unsafe { (*self.frame).best_effort_timestamp })

@@ -1,4 +1,4 @@
-//! A video file that is written picture by picture.
+//! Writer of a video file, image by image.
 
 use std::ffi::{CStr, c_int};
 use std::path::Path;
@@ -9,15 +9,17 @@ use ffmpeg_sys_the_third as sys;
 
 use super::{FfmpegError, checked, url_of, words};
 
-/// Encoders, the best first: H.264 where the distribution has it, else MPEG-4 part 2, which every FFmpeg has.
+/// Encoders, in order of preference: H.264 if the distribution has it, else MPEG-4 part 2, which every FFmpeg has.
 const ENCODERS: [&CStr; 3] = [c"libx264", c"libopenh264", c"mpeg4"];
-/// Ticks per second: whole for 24, 25, 30, 50, 60 and 29.97 pictures in a second, and no more than MPEG-4 can count.
+/// Ticks per second.
+///
+/// A whole number of ticks per frame at 24, 25, 30, 50, 60 and 29.97 frames per second, within the range of MPEG-4.
 const TICKS_PER_S: c_int = 60_000;
-/// Threads of the encoder. They are part of the result: the number of cores must not be.
+/// Number of encoder threads. The result depends on it, and must not depend on the number of cores.
 const NUM_THREADS: c_int = 4;
-/// Pictures between two that are coded by themselves, in a preview: a jump to any picture decodes at most so many.
+/// Keyframe interval of a preview, frames: seeking to any frame decodes at most that many.
 const PREVIEW_INTERVAL: c_int = 10;
-/// Bits per second and pixel for encoders that have no constant quality.
+/// Bits per pixel of an image, for encoders without a constant-quality mode.
 const BITS_PER_PIXEL: f64 = 0.2;
 
 /// Purpose of a file.
@@ -28,19 +30,19 @@ enum Use {
 }
 
 impl Use {
-    /// Browsers play H.264 alone.
+    /// Browsers play only H.264.
     fn encoders(self) -> &'static [&'static CStr] {
         if self == Self::Film { &ENCODERS } else { &ENCODERS[..2] }
     }
 
-    /// Options of x264: a good picture, quickly; of a preview 6 to 8 kB a picture of 640×360 pixels.
+    /// Options of x264: good quality, fast encoding; a preview takes 6 to 8 kB per image of 640×360 pixels.
     fn x264_options(self) -> [(&'static CStr, &'static CStr); 2] {
         let quality = if self == Self::Film { c"21" } else { c"27" };
         [(c"preset", c"veryfast"), (c"crf", quality)]
     }
 }
 
-/// Writes an MP4 file: 4:2:0 pictures of one size, at times that need not be evenly spaced.
+/// Writes an MP4 file: 4:2:0 images of one size, at times that need not be evenly spaced.
 pub struct Encoder {
     format: *mut sys::AVFormatContext,
     codec: *mut sys::AVCodecContext,
@@ -49,19 +51,20 @@ pub struct Encoder {
     packet: *mut sys::AVPacket,
     is_begun: bool,
     last_tick: Option<i64>,
-    ticks_per_picture: i64,
+    ticks_per_frame: i64,
 }
 
-// SAFETY: everything is owned and has no ties to the thread that made it.
+// SAFETY: everything is owned and not bound to the thread that created it.
 #[allow(unsafe_code)]
 unsafe impl Send for Encoder {}
 
 #[allow(unsafe_code)]
 impl Encoder {
-    /// Begins a file.
+    /// Starts a file.
     ///
-    /// * `size` – width and height of the pictures, pixels; a last odd column or row is left out, since 4:2:0 has none.
-    /// * `rate` – pictures per second, about; it says how long the last one is shown.
+    /// * `size` – width and height of the images, pixels; a last odd column or row is dropped, as 4:2:0 needs even
+    ///   sizes.
+    /// * `rate` – approximate frames per second; it determines the duration of the last image.
     ///
     /// # Errors
     /// [`FfmpegError::NoEncoder`], [`FfmpegError::Encoder`], [`FfmpegError::Write`], [`FfmpegError::Memory`].
@@ -69,8 +72,7 @@ impl Encoder {
         Self::with_encoders(path, size, rate, Use::Film)
     }
 
-    /// Begins a small file for a browser, which jumps about in it: H.264, of which every tenth picture at least is
-    /// coded by itself.
+    /// Starts a small file for a browser, which seeks in it: H.264 with a keyframe at least every tenth image.
     ///
     /// # Errors
     /// As [`Encoder::create`]; [`FfmpegError::NoEncoder`] without an encoder of H.264.
@@ -89,7 +91,7 @@ impl Encoder {
             packet: unsafe { sys::av_packet_alloc() },
             is_begun: false,
             last_tick: None,
-            ticks_per_picture: (f64::from(TICKS_PER_S) / rate).round().max(1.0) as i64,
+            ticks_per_frame: (f64::from(TICKS_PER_S) / rate).round().max(1.0) as i64,
         };
         if encoder.frame.is_null() || encoder.packet.is_null() {
             return Err(FfmpegError::Memory);
@@ -113,13 +115,13 @@ impl Encoder {
             let name = c"mp4".as_ptr();
             let made = sys::avformat_alloc_output_context2(&mut self.format, ptr::null_mut(), name, url.as_ptr());
             checked(made).map_err(|code| FfmpegError::Encoder(words(code)))?;
-            // No date and no version: the same pictures give the same bytes.
+            // No date and no version: equal images give equal bytes.
             (*self.format).flags |= sys::AVFMT_FLAG_BITEXACT;
         }
         Ok(())
     }
 
-    /// Opens the first encoder that starts.
+    /// Opens the first available encoder.
     fn open_codec(&mut self, size: (c_int, c_int), rate: f64, purpose: Use) -> Result<(), FfmpegError> {
         let mut refusal = FfmpegError::NoEncoder;
         for name in purpose.encoders() {
@@ -144,7 +146,7 @@ impl Encoder {
         purpose: Use,
     ) -> Result<(), FfmpegError> {
         // SAFETY: the context is allocated here, not open yet while it is set up, and freed by `drop` or here; the
-        // strings end in zero bytes, and options that an encoder does not know are refused without harm.
+        // strings end in zero bytes, and options that an encoder does not know are rejected without side effects.
         unsafe {
             sys::avcodec_free_context(&mut self.codec);
             self.codec = sys::avcodec_alloc_context3(codec);
@@ -166,7 +168,7 @@ impl Encoder {
             }
             context.bit_rate = (f64::from(width) * f64::from(height) * rate * BITS_PER_PIXEL) as i64;
             if (*codec).id == sys::AVCodecID::H264 {
-                // x264 goes by quality.
+                // x264 has a constant-quality mode.
                 context.bit_rate = if is_named(codec, ENCODERS[0]) { 0 } else { context.bit_rate };
                 for (key, value) in purpose.x264_options() {
                     sys::av_opt_set(context.priv_data, key.as_ptr(), value.as_ptr(), 0);
@@ -182,8 +184,8 @@ impl Encoder {
     }
 
     fn open_scaler(&mut self, width: c_int, height: c_int) -> Result<(), FfmpegError> {
-        // SAFETY: the context is made for these sizes and formats; the coefficients are constants of the library; the
-        // frame is new, and gets planes of the encoder's size and format.
+        // SAFETY: the context is created for these sizes and formats; the coefficients are constants of the library;
+        // the frame is new, and gets planes of the encoder's size and format.
         unsafe {
             let (from, to) = (sys::AVPixelFormat::RGB24, sys::AVPixelFormat::YUV420P);
             let flags = super::colour::BICUBIC | sys::SWS_ACCURATE_RND;
@@ -200,7 +202,7 @@ impl Encoder {
         }
     }
 
-    /// Makes the stream and writes the file's head.
+    /// Creates the stream and writes the file header.
     fn begin(&mut self, url: &CStr) -> Result<(), FfmpegError> {
         let failed = |code| FfmpegError::Write(words(code));
         // SAFETY: the container has no stream yet and gets one with the parameters of the open encoder; the strings end
@@ -214,7 +216,7 @@ impl Encoder {
             (*stream).avg_frame_rate = (*self.codec).framerate;
             checked(sys::avcodec_parameters_from_context((*stream).codecpar, self.codec)).map_err(failed)?;
             checked(sys::avio_open(&mut (*self.format).pb, url.as_ptr(), sys::AVIO_FLAG_WRITE)).map_err(failed)?;
-            // Players in browsers begin before the whole file is there if its index comes first.
+            // Browsers start to play before the whole file has arrived if its index comes first.
             let mut options = ptr::null_mut();
             sys::av_dict_set(&mut options, c"movflags".as_ptr(), c"faststart".as_ptr(), 0);
             let written = sys::avformat_write_header(self.format, &mut options);
@@ -225,17 +227,18 @@ impl Encoder {
         Ok(())
     }
 
-    /// Adds a picture, which must be as large as was stated.
+    /// Adds an image, which must have the size of the file.
     ///
-    /// * `time_s` – when it is shown, seconds; one that is not later than the last is shown as soon after it as can be.
+    /// * `time_s` – presentation time, seconds; one that is not later than the last is shown as early as possible after
+    ///   it.
     ///
     /// # Errors
     /// [`FfmpegError::Encoder`], [`FfmpegError::Write`].
-    pub fn add(&mut self, picture: &RgbImage, time_s: f64) -> Result<(), FfmpegError> {
+    pub fn add(&mut self, image: &RgbImage, time_s: f64) -> Result<(), FfmpegError> {
         let tick = (time_s * f64::from(TICKS_PER_S)).round() as i64;
         let tick = self.last_tick.map_or(tick, |last| tick.max(last.saturating_add(1)));
         self.last_tick = Some(tick);
-        self.take(picture)?;
+        self.take(image)?;
         // SAFETY: codec and frame are allocated and belong together.
         let sent = unsafe {
             (*self.frame).pts = tick;
@@ -245,22 +248,22 @@ impl Encoder {
         self.write_packets()
     }
 
-    /// Converts a picture into the frame.
-    fn take(&mut self, picture: &RgbImage) -> Result<(), FfmpegError> {
+    /// Converts an image into the frame.
+    fn take(&mut self, image: &RgbImage) -> Result<(), FfmpegError> {
         // SAFETY: the frame is allocated.
         let (width, height) = unsafe { ((*self.frame).width, (*self.frame).height) };
         let even = |side: u32| c_int::try_from(side & !1).unwrap_or(0);
-        if (even(picture.width()), even(picture.height())) != (width, height) {
-            let (found_width, found_height) = picture.dimensions();
+        if (even(image.width()), even(image.height())) != (width, height) {
+            let (found_width, found_height) = image.dimensions();
             let found = format!("an image of {found_width}x{found_height} pixels among images of {width}x{height}");
             return Err(FfmpegError::Encoder(found));
         }
-        // The library looks at four planes whatever the format.
+        // The library reads four plane pointers, whatever the format.
         let none = ptr::null();
-        let from = [picture.as_raw().as_ptr(), none, none, none];
-        let stride = [3 * c_int::try_from(picture.width()).unwrap_or(0), 0, 0, 0];
-        // SAFETY: the picture has `height` rows or one more, `stride` bytes apart; the frame's planes are writable
-        // after the call that makes them so, and have the size that the scaler was made for.
+        let from = [image.as_raw().as_ptr(), none, none, none];
+        let stride = [3 * c_int::try_from(image.width()).unwrap_or(0), 0, 0, 0];
+        // SAFETY: the image has `height` rows or one more, `stride` bytes apart; the frame's planes are writable after
+        // the call that makes them so, and have the size that the scaler was created for.
         unsafe {
             checked(sys::av_frame_make_writable(self.frame)).map_err(|_| FfmpegError::Memory)?;
             let to = &*self.frame;
@@ -270,7 +273,7 @@ impl Encoder {
         Ok(())
     }
 
-    /// Writes what the encoder has ready.
+    /// Writes the packets that the encoder has finished.
     fn write_packets(&mut self) -> Result<(), FfmpegError> {
         loop {
             // SAFETY: codec, packet and container are open; the packet's data are handed over to the container.
@@ -279,7 +282,7 @@ impl Encoder {
                     return Ok(());
                 }
                 let stream = *(*self.format).streams;
-                (*self.packet).duration = self.ticks_per_picture;
+                (*self.packet).duration = self.ticks_per_frame;
                 sys::av_packet_rescale_ts(self.packet, (*self.codec).time_base, (*stream).time_base);
                 let written = sys::av_interleaved_write_frame(self.format, self.packet);
                 checked(written).map_err(|code| FfmpegError::Write(words(code)))?;
@@ -287,17 +290,17 @@ impl Encoder {
         }
     }
 
-    /// Ends the file. One that is dropped without is not whole.
+    /// Finishes the file. Without this call the file is incomplete.
     ///
     /// # Errors
     /// [`FfmpegError::Write`].
     pub fn finish(mut self) -> Result<(), FfmpegError> {
-        // SAFETY: the encoder is open; no frame tells it that there are no more.
+        // SAFETY: the encoder is open; a null frame marks the end.
         unsafe { sys::avcodec_send_frame(self.codec, ptr::null()) };
         self.write_packets()?;
         let failed = |code| FfmpegError::Write(words(code));
         self.is_begun = false;
-        // SAFETY: the head was written, and this is the only end.
+        // SAFETY: the header was written, and the trailer is written only here.
         unsafe {
             checked(sys::av_write_trailer(self.format)).map_err(failed)?;
             checked(sys::avio_closep(&mut (*self.format).pb)).map(drop).map_err(failed)
@@ -305,7 +308,7 @@ impl Encoder {
     }
 }
 
-/// Returns true if an encoder has a name.
+/// Returns true if an encoder has the given name.
 #[allow(unsafe_code)]
 fn is_named(codec: *const sys::AVCodec, name: &CStr) -> bool {
     // SAFETY: every encoder has a name, which is a constant.
@@ -315,7 +318,7 @@ fn is_named(codec: *const sys::AVCodec, name: &CStr) -> bool {
 #[allow(unsafe_code)]
 impl Drop for Encoder {
     fn drop(&mut self) {
-        // SAFETY: all were allocated by this type, or are null, and are freed once; a file that was begun is closed.
+        // SAFETY: all were allocated by this type, or are null, and are freed once; a file that was started is closed.
         unsafe {
             if !self.format.is_null() {
                 sys::avio_closep(&mut (*self.format).pb);
@@ -334,7 +337,7 @@ mod tests {
     use super::*;
     use crate::ffi::ffmpeg::{Decoder, MediaFile, Packet, Purpose, RgbConverter};
 
-    fn picture(k: u8) -> RgbImage {
+    fn image(k: u8) -> RgbImage {
         RgbImage::from_fn(65, 48, |x, _| ::image::Rgb(if x < 32 { [20 * k, 40, 90] } else { [200, 10 * k, 30] }))
     }
 
@@ -343,14 +346,14 @@ mod tests {
         for k in 0..8 {
             // A gap after the fifth.
             let time_s = f64::from(k) * 0.1 + if k > 4 { 0.5 } else { 0.0 };
-            encoder.add(&picture(k), time_s).unwrap();
+            encoder.add(&image(k), time_s).unwrap();
         }
         assert!(encoder.add(&RgbImage::new(32, 32), 3.0).is_err());
         encoder.finish().unwrap();
     }
 
     #[test]
-    fn what_is_written_is_decoded_again_with_its_times() {
+    fn written_files_decode_to_their_images_and_times() {
         let folder = tempfile::tempdir().unwrap();
         let [path, again] = ["a.mp4", "b.mp4"].map(|name| folder.path().join(name));
         write(&path);
@@ -365,8 +368,8 @@ mod tests {
             times.push(stream.time_base.seconds(decoder.time().unwrap()));
             let found = converter.convert(&decoder).unwrap();
             assert_eq!(found.dimensions(), (64, 48));
-            let expected = picture(times.len() as u8 - 1);
-            // The reader takes all videos for BT.601, so that colours are a little off.
+            let expected = image(times.len() as u8 - 1);
+            // The reader interprets all videos as BT.601: colors differ slightly.
             let off = found.get_pixel(8, 20).0.iter().zip(expected.get_pixel(8, 20).0).map(|(a, b)| a.abs_diff(b));
             assert!(off.max().unwrap() < 40, "{times:?}");
         }
@@ -376,7 +379,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_written_is_said() {
+    fn a_file_that_cannot_be_written_is_an_error() {
         let folder = tempfile::tempdir().unwrap();
         let refused = |path: &Path, size| Encoder::create(path, size, 25.0).err().unwrap();
         assert!(matches!(refused(&folder.path().join("no/a.mp4"), (64, 48)), FfmpegError::Write(_)));

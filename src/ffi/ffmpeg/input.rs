@@ -1,7 +1,7 @@
-//! FFmpeg's view of one opened file.
+//! FFmpeg's input interface to one opened file.
 //!
-//! FFmpeg gets a descriptor to read and seek, not a name to open: whatever a container says, no other file can be
-//! reached.
+//! FFmpeg gets functions to read and seek, not a name to open: no other file can be accessed, whatever a container
+//! contains.
 
 use std::ffi::{c_char, c_int, c_void};
 use std::fs::File;
@@ -17,7 +17,7 @@ use rustix::io::Errno;
 use super::FfmpegError;
 use crate::files::{self, Growth};
 
-/// Bytes that are read at once, as many as FFmpeg's own reader of files takes.
+/// Bytes per read, the same number as in FFmpeg's own file protocol.
 const BUFFER_BYTES: usize = 32 << 10;
 
 /// A regular file behind FFmpeg's interface for input.
@@ -26,19 +26,19 @@ pub(super) struct Input {
     opened: *mut Opened,
 }
 
-/// The file that FFmpeg's functions get.
+/// File that the callbacks of FFmpeg receive.
 struct Opened {
     file: File,
-    /// Of a file that is still written, whose end is not yet known.
+    /// Growth of a file that is still being written, whose end is not yet known.
     growth: Option<Arc<Growth>>,
 }
 
 #[allow(unsafe_code)]
 impl Input {
-    /// Opens a regular file. One that grows is read once, from its beginning to its end: no seeking.
+    /// Opens a regular file. A growing one is read once, from beginning to end, without seeking.
     ///
     /// # Errors
-    /// [`FfmpegError::Open`] with the system's words, [`FfmpegError::Memory`].
+    /// [`FfmpegError::Open`] with the system's message, [`FfmpegError::Memory`].
     pub(super) fn open(path: &Path, growth: Option<Arc<Growth>>) -> Result<Self, FfmpegError> {
         let file = files::open(path).map_err(|error| FfmpegError::Open(error.to_string()))?;
         let seek = if growth.is_some() { None } else { Some(seek as SeekFunction) };
@@ -78,7 +78,7 @@ impl Drop for Input {
 #[allow(unsafe_code)]
 type SeekFunction = unsafe extern "C" fn(*mut c_void, i64, c_int) -> i64;
 
-/// Refuses to open a second file on behalf of a container.
+/// Rejects every further file that a container names.
 ///
 /// # Safety
 /// None is needed: the arguments are not read.
@@ -101,7 +101,7 @@ unsafe extern "C" fn read(opened: *mut c_void, buffer: *mut u8, size: c_int) -> 
         (&*opened.cast::<Opened>(), std::slice::from_raw_parts_mut(buffer.cast::<MaybeUninit<u8>>(), size))
     };
     loop {
-        // Looked up before reading: what was written before the end is read.
+        // Checked before reading: data written before the end are read.
         let growing = growth.as_deref().filter(|growth| !growth.is_finished());
         match (rustix::io::read(file, &mut *buffer), growing) {
             (Ok(([], _)), Some(growth)) => growth.wait(),

@@ -1,20 +1,20 @@
-//! Brightness of decoded pictures, without conversion.
+//! Luma of decoded images, without conversion.
 
 use ffmpeg_sys_the_third as sys;
 
 use super::Decoder;
 
-/// The first component of a picture, luma as a rule, in 8 bits.
+/// First component of an image, usually luma, in 8 bits.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Luma {
-    /// Pixels of a row.
+    /// Pixels per row.
     pub width: usize,
-    /// Rows, one after the other.
+    /// Samples, row by row.
     pub samples: Vec<u8>,
 }
 
 impl Luma {
-    /// The rows, from the top.
+    /// Rows, from the top.
     pub fn rows(&self) -> impl ExactSizeIterator<Item = &[u8]> {
         self.samples.chunks_exact(self.width.max(1))
     }
@@ -22,10 +22,9 @@ impl Luma {
 
 #[allow(unsafe_code)]
 impl Decoder {
-    /// Every `step`-th row of the luma of the picture; `None` for formats of pixels that do not store it in whole
-    /// bytes.
+    /// Every `step`-th row of the image's luma; `None` for pixel formats that do not store it in whole bytes.
     pub fn luma(&self, step: usize) -> Option<Luma> {
-        /// Formats whose first component is an index, a bit, or out of reach.
+        /// Flags of formats whose first component is an index, a bit, or not accessible.
         const ODD: u64 = (sys::AV_PIX_FMT_FLAG_PAL
             | sys::AV_PIX_FMT_FLAG_BITSTREAM
             | sys::AV_PIX_FMT_FLAG_HWACCEL

@@ -1,4 +1,4 @@
-//! A container: its streams, and the packets that they consist of.
+//! Containers, their streams and packets.
 
 use std::ffi::{CStr, c_int};
 use std::path::Path;
@@ -12,11 +12,12 @@ use super::input::{self, Input};
 use super::{Decoder, FfmpegError, checked, is_short_of_memory, stated, url_of, words};
 use crate::files::Growth;
 
-/// Time of a growing file, microseconds, that FFmpeg examines before the first frame; its default of 5 s would delay
-/// everything by as much.
+/// Duration of a growing file that FFmpeg analyzes before the first frame, microseconds.
+///
+/// FFmpeg's default of 5 s would delay everything by as much.
 const PROBED_US: &CStr = c"500000";
 
-/// Errors in a row after which a file is taken to be at its end.
+/// Number of consecutive read errors that count as the end of a file.
 const MAX_READ_ERRORS: u32 = 64;
 
 /// Seconds per tick, as a fraction.
@@ -29,16 +30,16 @@ pub struct TimeBase {
 }
 
 impl TimeBase {
-    /// A number of ticks in seconds.
+    /// Converts ticks to seconds.
     pub fn seconds(self, ticks: i64) -> f64 {
         (ticks as f64 * f64::from(self.num)) / f64::from(self.den)
     }
 }
 
-/// Coding of the text in the packets of a text track.
+/// Encoding of the text in the packets of a text track.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TextCoding {
-    /// The text itself.
+    /// Plain text.
     Plain,
     /// MP4's timed text (3GPP TS 26.245): two bytes of length, the text, then boxes of style.
     Timed,
@@ -49,13 +50,13 @@ pub enum TextCoding {
 /// Content of a stream.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum StreamKind {
-    /// Moving pictures.
+    /// Video.
     Video,
-    /// A single image that belongs to the file, such as a cover, or thumbnails of the video.
+    /// A single image attached to the file, such as a cover, or thumbnails of the video.
     Cover,
     /// Sound.
     Sound,
-    /// Text with times.
+    /// Timed text.
     Text(TextCoding),
     /// Telemetry of an action camera, in MP4 and MOV.
     Gpmf,
@@ -63,48 +64,48 @@ pub enum StreamKind {
     Other,
 }
 
-/// Properties of a stream, as its container states them.
+/// Properties of a stream, as declared by its container.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Stream {
-    /// Place in the file, from 0.
+    /// Index in the file, from 0.
     pub index: usize,
     /// Content.
     pub kind: StreamKind,
     /// Unit of its time stamps.
     pub time_base: TimeBase,
-    /// Time stamp of its beginning.
+    /// Start time stamp.
     pub start: Option<i64>,
-    /// Packets that the container counts in it and shows: those that an edit list hides are not among them.
+    /// Number of presented packets according to the container; packets hidden by an edit list are not counted.
     pub num_packets: Option<u64>,
-    /// Length, seconds.
+    /// Duration, seconds.
     pub duration_s: Option<f64>,
-    /// Pictures per second: the container's nominal rate, or what its first packets show.
+    /// Frames per second: the container's nominal rate, or that of its first packets.
     pub rate: Option<f64>,
-    /// Degrees clockwise by which its pictures are to be turned, from 0 to 359.
+    /// Rotation to be applied to its images, degrees clockwise, from 0 to 359.
     pub rotation_deg: i32,
-    /// Two fields per frame, as declared by the container or its first packets.
+    /// True if the container or its first packets declare two fields per frame.
     pub is_interlaced: bool,
 }
 
 impl Stream {
-    /// Beginning on the container's clock, seconds; 0 where it is not stated.
+    /// Start time on the container's clock, seconds; 0 if it is not declared.
     pub fn start_s(&self) -> f64 {
         self.start.map_or(0.0, |ticks| self.time_base.seconds(ticks))
     }
 }
 
-/// A piece of a stream. It holds its data until the next one is read into it.
+/// Packet of a stream. It holds its data until the next one is read into it.
 pub struct Packet {
     pub(super) packet: *mut sys::AVPacket,
 }
 
-// SAFETY: the packet and its data are owned, and no thread but the owner's touches them.
+// SAFETY: the packet and its data are owned, and only the owner's thread accesses them.
 #[allow(unsafe_code)]
 unsafe impl Send for Packet {}
 
 #[allow(unsafe_code)]
 impl Packet {
-    /// A packet that holds nothing yet.
+    /// Creates an empty packet.
     ///
     /// # Errors
     /// [`FfmpegError::Memory`].
@@ -114,25 +115,25 @@ impl Packet {
         if packet.is_null() { Err(FfmpegError::Memory) } else { Ok(Self { packet }) }
     }
 
-    /// The stream that it belongs to.
+    /// Index of its stream.
     pub fn stream(&self) -> usize {
         // SAFETY: the packet is allocated as long as `self` lives.
         usize::try_from(unsafe { (*self.packet).stream_index }).unwrap_or(usize::MAX)
     }
 
-    /// When it is to be shown, in ticks of its stream.
+    /// Presentation time, in ticks of its stream.
     pub fn time(&self) -> Option<i64> {
         // SAFETY: as above.
         stated(unsafe { (*self.packet).pts })
     }
 
-    /// For how long, in ticks of its stream; 0 if it does not say.
+    /// Duration, in ticks of its stream; 0 if unknown.
     pub fn duration(&self) -> i64 {
         // SAFETY: as above.
         unsafe { (*self.packet).duration }.max(0)
     }
 
-    /// Its content.
+    /// Content.
     pub fn data(&self) -> &[u8] {
         // SAFETY: as above; `data` is null or points to `size` bytes that the packet owns.
         unsafe {
@@ -153,28 +154,30 @@ impl Drop for Packet {
 /// An open container.
 pub struct MediaFile {
     context: *mut sys::AVFormatContext,
-    /// The stream whose packets are read; `None` for all.
+    /// Index of the stream whose packets are read; `None` for all.
     kept: Option<usize>,
-    /// Read by the context, and closed after it.
+    /// Input that the context reads; closed after it.
     _input: Input,
 }
 
-// SAFETY: the context is owned and has no ties to the thread that made it.
+// SAFETY: the context is owned and not bound to the thread that created it.
 #[allow(unsafe_code)]
 unsafe impl Send for MediaFile {}
 
 #[allow(unsafe_code)]
 impl MediaFile {
-    /// Opens a file and looks at its head and its first packets. No other file is opened, whatever the container says.
+    /// Opens a file and analyzes its header and first packets.
+    ///
+    /// No other file is opened, whatever the container contains.
     ///
     /// # Errors
-    /// [`FfmpegError::Open`] where FFmpeg does not know it or finds it broken, or it is not a format of one file;
-    /// [`FfmpegError::Playlist`].
+    /// [`FfmpegError::Open`] if FFmpeg does not know the format or finds it damaged, or if the format is not an
+    /// accepted one; [`FfmpegError::Playlist`].
     pub fn open(path: &Path) -> Result<Self, FfmpegError> {
         Self::open_as(path, None)
     }
 
-    /// As [`MediaFile::open`], of a file that is still written. Reading waits for data at its end.
+    /// As [`MediaFile::open`], for a file that is still being written. Reading waits for data at its end.
     ///
     /// # Errors
     /// As [`MediaFile::open`].
@@ -193,13 +196,13 @@ impl MediaFile {
         if context.is_null() {
             return Err(FfmpegError::Memory);
         }
-        // SAFETY: the context is new; the strings end in a zero byte and outlive the calls; where opening fails, FFmpeg
-        // frees the context and leaves the input alone.
+        // SAFETY: the context is new; the strings end in a zero byte and outlive the calls; if opening fails, FFmpeg
+        // frees the context and does not change the input.
         let opened = unsafe {
             (*context).pb = input.context;
             (*context).io_open = Some(input::refuse);
             let mut options = ptr::null_mut();
-            // No protocol has this name: a demuxer that does not ask `io_open` opens nothing either.
+            // No protocol has this name: a demuxer that bypasses `io_open` cannot open anything either.
             sys::av_dict_set(&mut options, c"protocol_whitelist".as_ptr(), c"none".as_ptr(), 0);
             if is_growing {
                 sys::av_dict_set(&mut options, c"analyzeduration".as_ptr(), PROBED_US.as_ptr(), 0);
@@ -231,7 +234,7 @@ impl MediaFile {
         (0..count).map(|index| self.stream(index)).collect()
     }
 
-    /// Reads the packets of one stream only.
+    /// Restricts reading to the packets of one stream.
     pub fn keep_only(&mut self, index: usize) {
         self.kept = Some(index);
         for stream in self.streams() {
@@ -241,21 +244,21 @@ impl MediaFile {
         }
     }
 
-    /// Reads the next packet, of the stream that is kept, if one is; `false` at the end, or where nothing more can be
-    /// read.
+    /// Reads the next packet, after [`Self::keep_only`] of that stream; `false` at the end, or if no more can be read.
     ///
     /// # Errors
     /// [`FfmpegError::Memory`].
     pub fn read(&mut self, packet: &mut Packet) -> Result<bool, FfmpegError> {
         let mut num_errors = 0;
         loop {
-            // SAFETY: context and packet are allocated; what the packet held is given back first.
+            // SAFETY: context and packet are allocated; the previous content of the packet is released first.
             let code = unsafe {
                 sys::av_packet_unref(packet.packet);
                 sys::av_read_frame(self.context, packet.packet)
             };
             match checked(code) {
-                // Packets that FFmpeg buffered while probing come first, also those of streams discarded since.
+                // Packets that FFmpeg buffered during the analysis come first, including those of streams discarded
+                // since.
                 Ok(_) if self.kept.is_some_and(|kept| kept != packet.stream()) => num_errors = 0,
                 Ok(_) => return Ok(true),
                 Err(sys::AVERROR_EOF) => return Ok(false),
@@ -268,8 +271,9 @@ impl MediaFile {
         }
     }
 
-    /// Width of a pixel over its height, as a fraction, of the frame that a decoder of the stream is at: what the
-    /// container states, else what the frame does; `None` where neither says anything.
+    /// Width of a pixel over its height, as a fraction, for the current frame of the stream's decoder.
+    ///
+    /// The container's value takes precedence over the frame's; `None` if neither has one.
     pub fn pixel_aspect(&self, stream: usize, decoder: &Decoder) -> Option<(u32, u32)> {
         // SAFETY: context, stream and frame are valid; the call only reads them.
         let aspect = unsafe { sys::av_guess_sample_aspect_ratio(self.context, self.raw_stream(stream), decoder.frame) };
@@ -317,8 +321,10 @@ impl MediaFile {
         }
     }
 
-    /// Packets that are stated and shown. The index of an MP4 or MOV file has an entry for each that its edit list
-    /// leaves, with a mark at those that are only there to be decoded.
+    /// Number of presented packets according to the container.
+    ///
+    /// The index of an MP4 or MOV file has an entry for each packet that its edit list keeps, with a flag for those
+    /// that are only decoded and not presented.
     fn num_packets(&self, stream: *mut sys::AVStream) -> Option<u64> {
         // SAFETY: the stream is one of the context's; entries are read below their count.
         let (stated, entries) = unsafe { ((*stream).nb_frames, sys::avformat_index_get_entries_count(stream)) };
@@ -345,14 +351,14 @@ impl Drop for MediaFile {
     }
 }
 
-/// Finds out the container format of a file.
+/// Detects the container format of a file.
 ///
 /// # Errors
 /// [`FfmpegError::Open`], [`FfmpegError::Playlist`].
 #[allow(unsafe_code)]
 fn probe(input: &Input, url: &CStr) -> Result<*const sys::AVInputFormat, FfmpegError> {
     let mut format = ptr::null();
-    // SAFETY: reads from the open input and rewinds it; the URL ends in a zero byte, and its extension is looked at.
+    // SAFETY: reads from the open input and rewinds it; the URL ends in a zero byte, and its extension is read.
     let probed =
         unsafe { sys::av_probe_input_buffer2(input.context, &mut format, url.as_ptr(), ptr::null_mut(), 0, 0) };
     checked(probed).map_err(|code| FfmpegError::Open(words(code)))?;
@@ -370,7 +376,7 @@ fn is_interlaced(order: sys::AVFieldOrder) -> bool {
     matches!(order, Order::TT | Order::BB | Order::TB | Order::BT)
 }
 
-/// Dispositions of streams of single images.
+/// Dispositions of streams that are no video: single images.
 const NO_VIDEO: c_int = (sys::AV_DISPOSITION_ATTACHED_PIC
     | sys::AV_DISPOSITION_TIMED_THUMBNAILS
     | sys::AV_DISPOSITION_STILL_IMAGE) as c_int;
@@ -402,7 +408,7 @@ fn text_coding(codec: sys::AVCodecID) -> Option<TextCoding> {
     }
 }
 
-/// The rotation that the stream's display matrix asks for.
+/// Rotation of the stream's display matrix.
 #[allow(unsafe_code)]
 fn rotation_deg(stream: *const sys::AVStream) -> i32 {
     let mut matrix = [0_i32; 9];
@@ -410,7 +416,7 @@ fn rotation_deg(stream: *const sys::AVStream) -> i32 {
     if data.is_null() || size < size_of_val(&matrix) {
         return 0;
     }
-    // SAFETY: `data` points to `size` bytes, of which there are enough; both functions read the matrix alone.
+    // SAFETY: `data` points to `size` bytes, which suffice; both functions read only the matrix.
     let counterclockwise_deg = unsafe {
         ptr::copy_nonoverlapping(data, matrix.as_mut_ptr().cast::<u8>(), size_of_val(&matrix));
         sys::av_display_rotation_get(matrix.as_ptr())
@@ -418,11 +424,11 @@ fn rotation_deg(stream: *const sys::AVStream) -> i32 {
     if counterclockwise_deg.is_finite() { (-counterclockwise_deg.round() as i32).rem_euclid(360) } else { 0 }
 }
 
-/// Where the display matrix lies, and its size in bytes; null if there is none.
+/// Pointer to the display matrix, and its size in bytes; null if there is none.
 #[cfg(ffmpeg_6_1)]
 #[allow(unsafe_code)]
 fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
-    // SAFETY: the caller's stream is valid; the parameters' array has the length that stands next to it.
+    // SAFETY: the caller's stream is valid; the parameters' array has the length stored with it.
     unsafe {
         let parameters = &*(*stream).codecpar;
         let (all, count) = (parameters.coded_side_data, parameters.nb_coded_side_data);
@@ -431,12 +437,12 @@ fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
     }
 }
 
-/// Where the display matrix lies, and its size in bytes; null if there is none.
+/// Pointer to the display matrix, and its size in bytes; null if there is none.
 #[cfg(not(ffmpeg_6_1))]
 #[allow(unsafe_code)]
 fn display_matrix(stream: *const sys::AVStream) -> (*const u8, usize) {
     let mut size = 0;
-    // SAFETY: the caller's stream is valid; the call writes the size next to the pointer that it gives.
+    // SAFETY: the caller's stream is valid; the call also writes the size of the data that it returns.
     let data = unsafe { sys::av_stream_get_side_data(stream, sys::AVPacketSideDataType::DISPLAYMATRIX, &mut size) };
     (data, size)
 }

@@ -1,13 +1,12 @@
-//! Media files, read, decoded and written by FFmpeg's libraries: libavformat, libavcodec and libswscale of the system.
+//! Reading, decoding and writing of media files with FFmpeg: the system's libavformat, libavcodec and libswscale.
 //!
-//! A [`MediaFile`] is a container with its streams, from which packets are read; a [`Decoder`] makes pictures of the
-//! packets of one video stream; an [`RgbConverter`] turns the pictures into red, green and blue. Time stamps stay what
-//! they are in the file: integers, in the time base of their stream. An [`Encoder`] makes a file of pictures.
+//! A [`MediaFile`] is a container with its streams, from which packets are read; a [`Decoder`] decodes the packets of
+//! one video stream to images; an [`RgbConverter`] converts the images to RGB. Time stamps are those of the file:
+//! integers, in the time base of their stream. An [`Encoder`] writes images to a file.
 //!
-//! A container is read from one opened file. Playlists are refused, and so is every other file or address that a
-//! container names.
-//! Damaged input is FFmpeg's to survive; what it refuses comes back as an [`FfmpegError`]. Nothing is printed after
-//! [`silence`].
+//! A container is read from one opened file. Playlists are rejected, and so is every other file or address that a
+//! container names. FFmpeg has to cope with damaged input; input that it rejects gives an [`FfmpegError`]. Nothing is
+//! printed after [`silence`].
 
 mod colour;
 mod decoder;
@@ -33,7 +32,7 @@ pub use self::media_file::{MediaFile, Packet, Stream, StreamKind, TextCoding, Ti
 /// Errors of FFmpeg.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FfmpegError {
-    /// No container that FFmpeg knows, or one whose head is broken.
+    /// The container is unknown to FFmpeg, or its header is damaged.
     #[error("{0}")]
     Open(String),
     /// A list of other files, in a format of this name.
@@ -45,38 +44,38 @@ pub enum FfmpegError {
     /// A decoder does not start.
     #[error("the decoder cannot be started: {0}")]
     Decoder(String),
-    /// A picture cannot be turned into red, green and blue.
+    /// An image cannot be converted to RGB.
     #[error("image of {width}x{height} pixels cannot be converted: {reason}")]
     Convert {
         /// Width, pixels.
         width: i32,
         /// Height, pixels.
         height: i32,
-        /// Obstacle.
+        /// Reason.
         reason: &'static str,
     },
     /// The installed FFmpeg has no encoder for videos.
     #[error("the installed FFmpeg has no encoder for H.264 or MPEG-4; install one that has (Debian: libavcodec59)")]
     NoEncoder,
-    /// An encoder does not start, or does not take a picture.
+    /// An encoder does not start, or rejects an image.
     #[error("the encoder failed: {0}")]
     Encoder(String),
     /// A file cannot be written.
     #[error("cannot be written: {0}")]
     Write(String),
-    /// There is no memory for it.
+    /// Memory is exhausted.
     #[error("out of memory")]
     Memory,
 }
 
-/// Stops what FFmpeg prints by itself.
+/// Silences the log output of FFmpeg.
 #[allow(unsafe_code)]
 pub fn silence() {
     // SAFETY: sets an atomic number.
     unsafe { sys::av_log_set_level(sys::AV_LOG_QUIET) }
 }
 
-/// The version of the libraries that are loaded, such as `5.1.9-0+deb12u1`.
+/// Version of the loaded libraries, such as `5.1.9-0+deb12u1`.
 #[allow(unsafe_code)]
 pub fn version() -> String {
     // SAFETY: returns a string constant of the library.
@@ -84,11 +83,11 @@ pub fn version() -> String {
     version.to_string_lossy().into_owned()
 }
 
-/// FFmpeg's words for one of its error codes.
+/// FFmpeg's message for one of its error codes.
 #[allow(unsafe_code)]
 fn words(code: c_int) -> String {
     let mut text = [0; 128];
-    // SAFETY: writes a string with its end mark into the buffer, whose size it is given.
+    // SAFETY: writes a null-terminated string into the buffer, whose size it receives.
     let text = unsafe {
         sys::av_strerror(code, text.as_mut_ptr(), text.len());
         CStr::from_ptr(text.as_ptr())
@@ -96,38 +95,39 @@ fn words(code: c_int) -> String {
     text.to_string_lossy().into_owned()
 }
 
-/// Memory that is there wherever decoding can go on, bytes: a picture of 4K, and what its decoder keeps besides.
+/// Available memory below which decoding cannot continue, bytes: a 4K image, and the additional memory of its decoder.
 const SPARE_BYTES: usize = 64 << 20;
 
-/// Returns true if FFmpeg failed because the machine has no memory. Its code does not show it: decoders go on with the
-/// next image when memory was short further down, and damaged files, which ask for more than there can be, fail with
-/// the code for it. The test is whether less memory is available.
+/// Returns true if FFmpeg failed because the machine has no memory.
+///
+/// Its error code does not show it. Decoders continue with the next image if memory was short at a lower level, and
+/// damaged files, which request impossible amounts, fail with the code for it. The test is whether memory is short.
 fn is_short_of_memory(code: c_int) -> bool {
     code != sys::AVERROR_EOF && code != sys::AVERROR(Errno::AGAIN.raw_os_error()) && lacks_memory()
 }
 
-/// Returns true if there is too little memory to go on decoding.
+/// Returns true if there is too little memory to continue decoding.
 fn lacks_memory() -> bool {
     !has_memory(SPARE_BYTES)
 }
 
 fn has_memory(bytes: usize) -> bool {
-    // What nobody looks at is not allocated at all.
+    // An allocation that is not observed is optimized away.
     let mut trial = Vec::<u8>::new();
     std::hint::black_box(&mut trial).try_reserve_exact(bytes).is_ok()
 }
 
-/// FFmpeg's name of a file, which is never taken for another protocol's address; `None` if the path has a zero byte.
+/// FFmpeg's URL of a file, never mistaken for another protocol's address; `None` if the path has a zero byte.
 fn url_of(path: &Path) -> Option<CString> {
     CString::new([b"file:".as_slice(), path.as_os_str().as_bytes()].concat()).ok()
 }
 
-/// Result of a call of FFmpeg, which returns errors below zero.
+/// Result of a call of FFmpeg, whose errors are negative.
 fn checked(code: c_int) -> Result<c_int, c_int> {
     if code < 0 { Err(code) } else { Ok(code) }
 }
 
-/// A time stamp, unless it is FFmpeg's mark for none.
+/// Time stamp, or `None` for FFmpeg's value for none.
 fn stated(ticks: i64) -> Option<i64> {
     (ticks != sys::AV_NOPTS_VALUE).then_some(ticks)
 }

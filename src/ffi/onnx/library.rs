@@ -1,4 +1,4 @@
-//! Finding and loading ONNX Runtime.
+//! Search and loading of the ONNX Runtime library.
 
 use std::env;
 use std::ffi::CStr;
@@ -18,11 +18,13 @@ const _: () = assert!(MINIMUM_VERSION == ort::MINOR_VERSION);
 
 /// The library's file name on Linux.
 const FILE_NAME: &str = "libonnxruntime.so";
-/// Keeps ONNX Runtime from reporting its use: since 1.29 it does so on Linux unless it finds this variable when it is
-/// loaded. `with_telemetry(false)` comes too late: by then an event is on its way.
+/// Variable that disables the telemetry of ONNX Runtime.
+///
+/// Since 1.29 it reports its use on Linux unless this variable is set when it is loaded. `with_telemetry(false)` comes
+/// too late: an event is already on its way.
 const NO_TELEMETRY: (&CStr, &CStr) = (c"ORT_DISABLE_TELEMETRY", c"1");
 
-/// A loaded runtime. It lives until the process ends, as the library cannot be unloaded safely.
+/// Loaded runtime. It lives until the process ends, as the library cannot be unloaded safely.
 pub(super) struct Runtime {
     pub(super) info: RuntimeInfo,
     pub(super) environment: Environment,
@@ -30,7 +32,7 @@ pub(super) struct Runtime {
 
 static RUNTIME: Mutex<Option<&'static Runtime>> = Mutex::new(None);
 
-/// Finds and loads the runtime, which must have the provider.
+/// Finds and loads the runtime, which must support the provider.
 ///
 /// # Errors
 /// As [`probe`](super::probe).
@@ -40,7 +42,7 @@ pub(super) fn probe(provider: Provider) -> Result<RuntimeInfo, OnnxError> {
     Ok(info)
 }
 
-/// The provider as ONNX Runtime takes it; `None` for the processor, which needs none.
+/// Execution provider of ONNX Runtime; `None` for the CPU, which needs none.
 ///
 /// # Errors
 /// [`OnnxError::Provider`] if the loaded library was built without it.
@@ -67,8 +69,9 @@ pub(super) fn execution_provider(provider: Provider) -> Result<Option<ExecutionP
     Err(OnnxError::Provider { provider, reason })
 }
 
-/// Returns true if a library exists where it is searched for, without loading it. One that only the system's loader
-/// would find does not count.
+/// Returns true if a library exists at a searched path, without loading it.
+///
+/// Libraries of the system's loader do not count.
 pub(super) fn is_in_place() -> bool {
     match named() {
         Some((_, named)) => named.exists(),
@@ -78,13 +81,13 @@ pub(super) fn is_in_place() -> bool {
     }
 }
 
-/// The first environment variable that names the library, and its value. `ORT_DYLIB_PATH` is `ort`'s own.
+/// First environment variable that names the library, and its value. `ORT_DYLIB_PATH` is `ort`'s own.
 fn named() -> Option<(&'static str, PathBuf)> {
     let value = |name: &'static str| Some((name, PathBuf::from(env::var_os(name).filter(|value| !value.is_empty())?)));
     ["TRACTRIX_ONNXRUNTIME", "ORT_DYLIB_PATH"].into_iter().find_map(value)
 }
 
-/// The runtime, loaded by the first call that succeeds; a failure is tried again by the next call.
+/// Returns the runtime, loaded by the first successful call; after a failure, the next call retries.
 pub(super) fn runtime() -> Result<&'static Runtime, OnnxError> {
     let mut slot = RUNTIME.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     if let Some(runtime) = *slot {
@@ -96,7 +99,7 @@ pub(super) fn runtime() -> Result<&'static Runtime, OnnxError> {
     Ok(runtime)
 }
 
-/// Loads the first library that serves; which one that is depends on the environment and the file system.
+/// Loads the first usable library, which depends on the environment and the file system.
 fn load() -> Result<PathBuf, OnnxError> {
     if let Some((variable, path)) = named() {
         return match try_load(&path) {
@@ -118,8 +121,10 @@ fn load() -> Result<PathBuf, OnnxError> {
     Err(OnnxError::RuntimeNotFound { tried })
 }
 
-/// Where the library may be: next to the executable, where packages put it, in `third_party` of the source tree whose
-/// `target` holds the executable, and last by its bare name, which the system's loader looks up.
+/// Candidate paths of the library, in order of preference.
+///
+/// The library may be next to the executable, where packages put it, or in `third_party` of the source tree whose
+/// `target` holds the executable. The last candidate is its bare name, which the system's loader looks up.
 fn candidates(executable: Option<&Path>) -> Vec<PathBuf> {
     // ort asks for the executable's folder when a path is relative, and would panic without one.
     let Some((executable, folder)) = executable.and_then(|path| Some((path, path.parent()?))) else {
@@ -132,7 +137,7 @@ fn candidates(executable: Option<&Path>) -> Vec<PathBuf> {
     found
 }
 
-/// Loads a library into the process, which must not report to anybody; only the first that succeeds counts.
+/// Loads a library into the process, with its telemetry disabled; only the first successful load counts.
 fn try_load(path: &Path) -> Result<(), String> {
     let (name, value) = NO_TELEMETRY;
     environment::set(name, value);
@@ -147,7 +152,7 @@ fn try_load(path: &Path) -> Result<(), String> {
     }
 }
 
-/// Starts the loaded library.
+/// Initializes the loaded library.
 fn start(library: PathBuf) -> Result<Runtime, OnnxError> {
     let environment = match ort::init().with_name("tractrix").with_telemetry(false).build() {
         Ok(environment) => environment,
@@ -158,14 +163,15 @@ fn start(library: PathBuf) -> Result<Runtime, OnnxError> {
     Ok(Runtime { info: RuntimeInfo { library: Some(library), version }, environment })
 }
 
-/// The version in the build information, which reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...` if
-/// it was built from a branch of that name.
+/// Version in the build information.
+///
+/// It reads `ORT Build Info: git-branch=rel-1.31.1, git-commit-id=..., ...` if it was built from a branch of that name.
 fn named_version(build_info: &str) -> Option<String> {
     let branch = build_info.split("git-branch=").nth(1)?.split(',').next()?;
     leading_version(branch.trim_start_matches(|c: char| !c.is_ascii_digit()))
 }
 
-/// The version that the library's symbols carry, `VERS_1.31.1`; it stands near the beginning of the file.
+/// Version of the library's symbols, `VERS_1.31.1`; it is near the beginning of the file.
 fn symbol_version(library: &Path) -> Option<String> {
     // Prefix of a version among the library's symbols.
     const MARK: &[u8] = b"VERS_";
@@ -176,7 +182,7 @@ fn symbol_version(library: &Path) -> Option<String> {
     versions.map(|(at, _)| after(at + MARK.len())).find_map(|text| leading_version(&text))
 }
 
-/// The numbers and dots at the beginning of a text, if they are a version.
+/// Leading digits and dots of a text, if they form a version.
 fn leading_version(text: &str) -> Option<String> {
     let end = text.find(|c: char| !c.is_ascii_digit() && c != '.').unwrap_or(text.len());
     let version = text[..end].trim_end_matches('.');
@@ -200,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn the_library_is_looked_for_beside_the_program_first_and_by_the_loader_last() {
+    fn the_library_is_searched_next_to_the_program_first_and_by_the_loader_last() {
         let found = candidates(Some(Path::new("/opt/tractrix/bin/tractrix")));
         assert_eq!(found.first(), Some(&PathBuf::from("/opt/tractrix/bin/libonnxruntime.so")));
         assert!(found.contains(&PathBuf::from("/opt/tractrix/bin/../lib/tractrix/libonnxruntime.so")), "{found:?}");
@@ -228,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_library_is_refused_with_its_path() {
+    fn a_file_that_is_no_library_is_rejected_with_its_path() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("libonnxruntime.so");
         std::fs::write(&path, "not a library").unwrap();

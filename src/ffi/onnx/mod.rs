@@ -1,9 +1,9 @@
 //! Networks in ONNX format, run by ONNX Runtime (feature `onnxruntime`, crate `ort`) or in Rust (feature
 //! `networks-rust`, crate `rten`): see [`Provider`].
 //!
-//! ONNX Runtime is a shared library that is looked for when the first model is loaded, so that the program starts and
-//! does all other work without it: [`probe`] says where it is or how to get it. [`Model`] is one network; tensors go in
-//! and come out as [`Tensor`], row-major `f32`, whatever number type the network gives.
+//! ONNX Runtime is a shared library that is searched for when the first model is loaded: everything else works without
+//! it. [`probe`] reports its location, or how to install it. [`Model`] is one network; its inputs and outputs are
+//! [`Tensor`]s, row-major `f32`, whatever the number type of the network.
 //!
 //! Nothing here panics when the library is missing, too old or not ONNX Runtime at all.
 
@@ -25,20 +25,20 @@ use crate::memory::{MemoryLimit, TooMuch};
 pub use self::model::{Model, Tensor, TensorInfo};
 pub use self::provider::Provider;
 
-/// Library that runs the networks.
+/// Inference library.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct RuntimeInfo {
-    /// The shared library; a bare file name if the system's loader found it. `None` for what is part of the program.
+    /// The shared library; a bare file name if the system's loader found it. `None` if it is part of the program.
     pub library: Option<PathBuf>,
-    /// Its version, such as `1.31.1`; `None` where it does not say it.
+    /// Version, such as `1.31.1`; `None` if unknown.
     pub version: Option<String>,
 }
 
-/// Finds and loads what a provider needs, as loading a model would do.
+/// Finds and loads the library of a provider, as loading a model would do.
 ///
 /// # Errors
 /// [`OnnxError::RuntimeNotFound`], [`OnnxError::NamedRuntime`], [`OnnxError::Runtime`], [`OnnxError::Provider`]; each
-/// says how to get it.
+/// explains how to install it.
 pub fn probe(provider: Provider) -> Result<RuntimeInfo, OnnxError> {
     match provider {
         #[cfg(feature = "networks-rust")]
@@ -49,8 +49,9 @@ pub fn probe(provider: Provider) -> Result<RuntimeInfo, OnnxError> {
     }
 }
 
-/// Returns true if what a provider needs exists where it is searched for, without loading it. A library that only the
-/// system's loader would find does not count.
+/// Returns true if a provider's library exists at a searched path, without loading it.
+///
+/// Libraries that only the system's loader would find do not count.
 pub fn is_in_place(provider: Provider) -> bool {
     match provider {
         Provider::Rust => cfg!(feature = "networks-rust"),
@@ -64,7 +65,7 @@ pub fn is_in_place(provider: Provider) -> bool {
 /// Resources of the machine for a network.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Resources {
-    /// Threads that work on one operation; 0 lets the runtime take one per core.
+    /// Number of threads per operation; 0 for one per core.
     pub num_threads: usize,
     /// Memory limit for its file, its inputs and its outputs.
     pub memory: MemoryLimit,
@@ -73,7 +74,7 @@ pub struct Resources {
 }
 
 impl From<usize> for Resources {
-    /// So many threads, the usual share of the machine's memory, and the default provider.
+    /// Resources with this number of threads, the default memory limit, and the default provider.
     fn from(num_threads: usize) -> Self {
         Self { num_threads, memory: MemoryLimit::of_machine(), provider: Provider::default() }
     }
@@ -83,7 +84,7 @@ impl From<usize> for Resources {
 const CURE: &str = "install it with `scripts/fetch-onnxruntime`, set the environment variable TRACTRIX_ONNXRUNTIME to \
                     its path, or give --provider rust";
 
-/// The lowest minor version of ONNX Runtime 1.x that serves: the `api-*` feature that this crate asks `ort` for.
+/// Minimum minor version of ONNX Runtime 1.x: that of the `api-*` feature of `ort` that this crate enables.
 pub const MINIMUM_VERSION: u32 = 24;
 
 /// Errors of networks.
@@ -95,7 +96,7 @@ pub enum OnnxError {
         tried.join("\n  tried: ")
     )]
     RuntimeNotFound {
-        /// Each place that was tried, with the reason for which it did not serve.
+        /// Each path that was tried, with the reason of its rejection.
         tried: Vec<String>,
     },
     /// The library that an environment variable names cannot be used.
@@ -120,12 +121,12 @@ pub enum OnnxError {
     /// This build, or this ONNX Runtime library, does not have the provider.
     #[error("provider {}: {reason}", provider.name())]
     Provider {
-        /// The provider that was asked for.
+        /// Requested provider.
         provider: Provider,
         /// Problem and remedy.
         reason: String,
     },
-    /// There is no such model file.
+    /// The model file does not exist.
     #[error("{}: model file not found", path.display())]
     NoModel {
         /// The file.
@@ -139,7 +140,7 @@ pub enum OnnxError {
         /// The runtime's message.
         reason: String,
     },
-    /// The network promises more than memory holds.
+    /// The network exceeds the memory limit.
     #[error(transparent)]
     Memory(#[from] TooMuch),
     /// Running the network failed.

@@ -10,9 +10,9 @@ use super::{OnnxError, Provider, Resources};
 pub struct TensorInfo {
     /// The tensor's name in the network.
     pub name: String,
-    /// Its sides; `None` where the network leaves a side open. Empty for what is not a tensor.
+    /// Dimensions; `None` for an open dimension. Empty if it is not a tensor.
     pub shape: Vec<Option<usize>>,
-    /// Its number type, such as `f32`.
+    /// Number type, such as `f32`.
     pub element: String,
 }
 
@@ -38,35 +38,35 @@ impl fmt::Display for TensorInfo {
     }
 }
 
-/// Row-major numbers with a shape.
+/// Row-major tensor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Tensor {
-    /// Length of each side.
+    /// Dimensions.
     pub shape: Vec<usize>,
-    /// The values; as many as the product of the sides.
+    /// Values; their number is the product of the dimensions.
     pub values: Vec<f32>,
 }
 
 impl Tensor {
-    /// All zeros.
+    /// Creates a tensor of zeros.
     pub fn zeros(shape: &[usize]) -> Self {
         Self { shape: shape.to_vec(), values: vec![0.0; shape.iter().product()] }
     }
 }
 
-/// A network that an implementation has loaded. Reasons of errors are its own words.
+/// Network loaded by an implementation, whose own messages are the reasons of errors.
 pub(super) trait Engine: Send {
     /// Inputs.
     fn inputs(&self) -> Vec<TensorInfo>;
     /// Outputs.
     fn outputs(&self) -> Vec<TensorInfo>;
-    /// An entry of the metadata that the exporter left in the file.
+    /// Metadata entry that the exporter stored in the file.
     fn metadata(&self, key: &str) -> Option<String>;
-    /// Runs the network; one tensor per input, one per output. The caller counts the inputs.
+    /// Runs the network; one tensor per input, one per output. The caller checks the number of inputs.
     fn run(&mut self, inputs: &[Tensor]) -> Result<Vec<Tensor>, String>;
 }
 
-/// A network, loaded.
+/// Loaded network.
 pub struct Model {
     path: PathBuf,
     engine: Box<dyn Engine>,
@@ -88,9 +88,8 @@ impl Model {
     /// Loads a network from a file.
     ///
     /// # Errors
-    /// [`OnnxError::NoModel`], [`OnnxError::Load`], [`OnnxError::Memory`] for a file, or numbers that go in and come
-    /// out, which are more than memory holds; or one of the runtime's own errors when its library or the provider is
-    /// missing.
+    /// [`OnnxError::NoModel`], [`OnnxError::Load`], [`OnnxError::Memory`] for a file, or inputs and outputs, that
+    /// exceed the memory limit; or one of the runtime's own errors if its library or the provider is missing.
     pub fn load(path: &Path, resources: impl Into<Resources>) -> Result<Self, OnnxError> {
         let Resources { num_threads, memory, provider } = resources.into();
         let found = std::fs::metadata(path).ok().filter(|found| found.is_file());
@@ -120,7 +119,7 @@ impl Model {
         &self.outputs
     }
 
-    /// An entry of the metadata that the exporter left in the file.
+    /// Metadata entry that the exporter stored in the file.
     pub fn metadata(&self, key: &str) -> Option<String> {
         self.engine.metadata(key)
     }
@@ -157,7 +156,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_missing_file_is_named_before_the_runtime_is_looked_for() {
+    fn a_missing_file_is_reported_before_the_runtime_is_searched() {
         let error = Model::load(Path::new("/nowhere/net.onnx"), 1).unwrap_err();
         assert!(matches!(error, OnnxError::NoModel { .. }), "{error}");
         assert!(error.to_string().contains("/nowhere/net.onnx"));

@@ -1,4 +1,4 @@
-//! A network in `rten`, which is Rust throughout: for builds and machines without ONNX Runtime.
+//! Networks in `rten`, written in Rust: for builds and machines without ONNX Runtime.
 
 use std::path::Path;
 use std::sync::Arc;
@@ -66,7 +66,7 @@ impl Engine for RustEngine {
     }
 }
 
-/// The numbers of a value; `rten` has no 64-bit ones.
+/// Converts a value to a tensor; `rten` has no 64-bit numbers.
 fn extract(value: Value) -> Result<Tensor, String> {
     let shape = value.shape().to_vec();
     let values = match value {
@@ -84,8 +84,10 @@ mod tests {
     use super::*;
     use crate::ffi::onnx::{Model, Provider, Resources, probe};
 
-    /// Largest difference between outputs of two implementations, as a share of the largest value. Sums in another
-    /// order differ by 1e-5; where a value lies at the border between two 8-bit levels, a layer differs by 1 %.
+    /// Largest difference between outputs of two implementations, as a share of the largest value.
+    ///
+    /// Sums in another order differ by 1e-5; where a value is at the border between two 8-bit levels, a layer differs
+    /// by 1 %.
     const TOLERANCE: f32 = 0.05;
 
     fn waves(shape: &[usize]) -> Tensor {

@@ -20,7 +20,7 @@ impl OnnxRuntime {
         let failed = |reason: String| OnnxError::Load { path: path.to_path_buf(), reason };
         let builder = Session::builder(&runtime()?.environment).map_err(|e| failed(e.to_string()))?;
         let builder = builder.with_intra_threads(num_threads).map_err(|e| failed(e.to_string()))?;
-        // Threads that spin between frames would take the processor from the other stages.
+        // Threads that spin between frames would take processor time from the other stages.
         let builder = builder.with_intra_op_spinning(false).map_err(|e| failed(e.to_string()))?;
         let refused = |e: String| OnnxError::Provider { provider, reason: format!("{e}; give --provider cpu") };
         let provider = execution_provider(provider)?;

@@ -86,9 +86,9 @@ impl Cubic {
 
 /// Coefficients of x, y, z and 1.
 type Linear = [f64; 4];
-/// Where those are among [`MONOMIALS`].
+/// Indices of these in [`MONOMIALS`].
 const LINEAR: [usize; 4] = [12, 15, 18, 19];
-/// The monomials of degree two and less.
+/// Indices of the monomials of degree two and less.
 const QUADRATIC: [usize; 10] = [5, 7, 9, 11, 12, 14, 15, 17, 18, 19];
 
 /// Index of the product of two monomials; 255 where its degree is above three.
@@ -174,7 +174,7 @@ fn eliminated(mut m: Constraints) -> Option<Constraints> {
     Some(m)
 }
 
-/// Row a minus z times row b: coefficients, ascending in z, of what stands before x, y and 1.
+/// Row a minus z times row b: polynomial coefficients of x, y and 1, ascending in z.
 fn polynomial_row(m: &Constraints, a: usize, b: usize) -> [[f64; 5]; 3] {
     let group = |first: usize, degree: usize| {
         // Columns run from the highest power of z down to its zeroth.
@@ -202,7 +202,7 @@ fn determinant(rows: &[[[f64; 5]; 3]; 3]) -> [f64; 13] {
             }
         }
     }
-    // Degrees eleven and twelve vanish by construction: the entries before x and y have degree three.
+    // Degrees eleven and twelve vanish by construction: the coefficients of x and y have degree three.
     sum[11] = 0.0;
     sum[12] = 0.0;
     sum

@@ -1,4 +1,4 @@
-//! Minimal solvers, one per file, named by what they consume.
+//! Minimal solvers, one per file, named by their input.
 
 mod essential_five_point;
 mod p3p;

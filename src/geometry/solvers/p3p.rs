@@ -53,7 +53,7 @@ fn grunert_quartic(a: f64, c: f64, cos_alpha: f64, cos_beta: f64, cos_gamma: f64
     ]
 }
 
-/// The rigid motion that takes one triangle onto a congruent one, from orthonormal frames on both.
+/// Rigid motion mapping a triangle onto a congruent one, from orthonormal frames on both.
 fn pose_from_triangle(in_cam: &[Vector3<f64>; 3], in_world: &[Point3<f64>; 3]) -> Option<Rigid3> {
     let frame = |o: Vector3<f64>, a: Vector3<f64>, b: Vector3<f64>| {
         let x = (a - o).try_normalize(0.0)?;
@@ -91,7 +91,7 @@ mod tests {
             let near = |p: &Rigid3| p.angle_to(&truth) < 1e-5 && (p.center() - truth.center()).norm() < 1e-4;
             found += usize::from(poses.iter().any(near));
         }
-        // Triangles seen edge-on or on the danger cylinder lose digits; a sampling loop only needs the rest.
+        // Triangles viewed edge-on or on the danger cylinder lose precision; a sampling loop only needs the rest.
         assert!(found >= TRIALS * 99 / 100, "{found} of {TRIALS}");
     }
 

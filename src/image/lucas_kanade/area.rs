@@ -1,4 +1,4 @@
-//! A part of a picture as floating-point numbers.
+//! Region of an image as floating-point numbers.
 
 use ::image::GrayImage;
 use pulp::Simd;
@@ -7,17 +7,17 @@ use super::LANES;
 use super::window::Window;
 use crate::image::mirrored;
 
-/// Pixels from an integer place on. A picture goes on beyond its border as its mirror image.
+/// Pixels of a region at an integer position, with mirrored image borders.
 #[derive(Default)]
 pub(super) struct Area {
     values: Vec<f32>,
     cols: usize,
     rows: usize,
-    /// Place of the first value, pixels; the centre of the picture's first pixel is (0, 0).
+    /// Position of the first value, pixels; the center of the image's first pixel is (0, 0).
     corner: [i64; 2],
 }
 
-/// Where a window begins in an area: at this value, and a part of a pixel further.
+/// Start of a window in an area: index of a value, and fraction of a pixel.
 pub(super) struct SubpixelPosition {
     start: usize,
     pub fraction: [f32; 2],
@@ -28,7 +28,7 @@ impl Area {
     #[inline(always)]
     pub fn cut_around(&mut self, picture: &GrayImage, first: [f32; 2], window: Window, margin: usize) {
         self.corner = first.map(|value| whole_below(value) - margin as i64);
-        // One more for what lies between two pixels, and whole vectors.
+        // One more for interpolation between pixels, rounded up to whole vectors.
         self.cols = (window.width + 2 * margin + 1).next_multiple_of(LANES);
         self.rows = window.height + 2 * margin + 1;
         self.values.resize(self.cols * self.rows, 0.0);
@@ -36,7 +36,7 @@ impl Area {
         if self.is_inside(picture) {
             let start = self.corner[1] as usize * width + self.corner[0] as usize;
             let pixels = &picture.as_raw()[start..];
-            // Rows of a length that the compiler knows.
+            // Row lengths known at compile time.
             match self.cols {
                 16 => convert::<16>(&mut self.values, pixels, width),
                 24 => convert::<24>(&mut self.values, pixels, width),
@@ -54,14 +54,14 @@ impl Area {
         }
     }
 
-    /// Returns true if all of it lies in the image.
+    /// Returns true if the whole area is in the image.
     #[inline(always)]
     pub fn is_inside(&self, picture: &GrayImage) -> bool {
         let fits = |first: i64, length: usize, all: u32| first >= 0 && first + length as i64 <= i64::from(all);
         fits(self.corner[0], self.cols, picture.width()) && fits(self.corner[1], self.rows, picture.height())
     }
 
-    /// Where a window lies whose first pixel is at this place; `None` if some of it is not here.
+    /// Start of the window with its first pixel at a position; `None` if the area does not contain all of it.
     #[inline(always)]
     pub fn place(&self, first: [f32; 2], window: Window) -> Option<SubpixelPosition> {
         let whole = first.map(whole_below);
@@ -72,7 +72,7 @@ impl Area {
         is_here.then(|| SubpixelPosition { start: start[1] as usize * self.cols + start[0] as usize, fraction })
     }
 
-    /// A vector's values of a row, between its columns, from a column and from the two after it on.
+    /// Vectors of a row interpolated between columns, starting at a column and at each of the two after it.
     #[inline(always)]
     pub fn three_columns<S: Simd>(&self, simd: S, fraction: S::f32s, column: usize, row: usize) -> [S::f32s; 3] {
         let values = self.values.get(row * self.cols + column..).unwrap_or_default();
@@ -81,7 +81,7 @@ impl Area {
         [between(a, b), between(b, c), between(c, d)]
     }
 
-    /// A vector's values of a row of a window, between its columns.
+    /// Vector of a window's row, interpolated between columns.
     #[inline(always)]
     pub fn between_columns<S: Simd>(&self, simd: S, place: &SubpixelPosition, column: usize, row: usize) -> S::f32s {
         let start = place.start + row * self.cols + column;
@@ -90,7 +90,7 @@ impl Area {
     }
 }
 
-/// Fills rows of values, one after the other, with the pixels at the beginnings of rows that are `stride` apart.
+/// Converts the first pixels of consecutive image rows, `stride` apart, to rows of values.
 #[inline(always)]
 fn convert<const COLS: usize>(values: &mut [f32], pixels: &[u8], stride: usize) {
     for (out, row) in values.as_chunks_mut::<COLS>().0.iter_mut().zip(pixels.chunks(stride)) {
@@ -99,14 +99,14 @@ fn convert<const COLS: usize>(values: &mut [f32], pixels: &[u8], stride: usize) 
     }
 }
 
-/// A vector of the values from one on; zeros where there are not as many.
+/// Vector of the values from an index on, padded by zeros.
 #[inline(always)]
 pub(super) fn load<S: Simd>(simd: S, values: &[f32], start: usize) -> S::f32s {
     let values = values.get(start..start + S::F32_LANES).unwrap_or_default();
     S::as_simd_f32s(values).0.first().copied().unwrap_or(simd.splat_f32s(0.0))
 }
 
-/// Largest whole number that is not above a value. (`floor` is a call of a function on the oldest processors.)
+/// Largest integer not above a value. (`floor` is a function call on the oldest processors.)
 #[inline(always)]
 pub(super) fn whole_below(value: f32) -> i64 {
     let towards_zero = value as i32;

@@ -1,10 +1,10 @@
-//! Points followed from one picture to another, by pyramidal Lucas-Kanade (J.-Y. Bouguet, *Pyramidal Implementation of
-//! the Lucas Kanade Feature Tracker*, 2000).
+//! Pyramidal Lucas-Kanade point tracking (J.-Y. Bouguet, *Pyramidal Implementation of the Lucas Kanade Feature
+//! Tracker*, 2000).
 //!
-//! A window round the point is held against the other picture, from the smallest pictures to the largest. With its
-//! gradient g and the difference e of what is seen, a step is the solution of Σ g gᵀ d = −Σ g e (least squares). It
-//! does what OpenCV's does, with the same limits, in vectors as wide as the processor has, which takes half the time;
-//! and gradients are worked out where points are, not in whole pictures.
+//! A window around the point is registered to the other image, from the coarsest pyramid level to the finest. With its
+//! gradient g and the intensity difference e, a step is the solution of Σ g gᵀ d = −Σ g e (least squares). Algorithm
+//! and limits are those of OpenCV. The widest vectors of the processor are used, which takes half the time, and
+//! gradients are computed around points only, not in whole images.
 
 mod area;
 mod pyramid;
@@ -22,14 +22,14 @@ use area::{Area, whole_below};
 use template::{Difference, Template};
 use window::Window;
 
-/// Pixels of the widest vector. Windows and what is cut round them have a whole number of these in a row, hence of any
-/// narrower vector, too.
+/// Pixels of the widest vector. Rows of windows and of areas around them are multiples of it, and thus of any narrower
+/// vector, too.
 const LANES: usize = 8;
-/// Points that one task follows.
+/// Points tracked per task.
 const AT_A_TIME: usize = 64;
 /// Maximum displacement of a window before pixels are read again.
 const MARGIN: usize = 2;
-/// Between the products of gradients in grey values, summed up, and the unit of OpenCV's smallest eigenvalue.
+/// Factor from products of gray-value gradients to the unit of OpenCV's smallest eigenvalue.
 const EIGENVALUE_SCALE: f32 = 1.0 / 1024.0;
 
 /// Options of point tracking.
@@ -37,40 +37,40 @@ const EIGENVALUE_SCALE: f32 = 1.0 / 1024.0;
 pub struct LucasKanade {
     /// Half the side of the window, pixels, at least 1.
     pub window_radius_px: usize,
-    /// Smaller pictures that are looked at before the picture itself.
+    /// Number of pyramid levels above the image itself.
     pub num_smaller: usize,
-    /// Steps in each picture.
+    /// Maximum number of steps per pyramid level.
     pub max_steps: usize,
-    /// Length of a step after which there is no other.
+    /// Step length below which the iterations end, pixels.
     pub converged_px: f32,
-    /// Smallest eigenvalue of a window's normal matrix, as OpenCV counts it: that of the mean of g gᵀ, over 1024.
+    /// Minimum eigenvalue of a window's normal matrix, in OpenCV's unit: that of the mean of g gᵀ, over 1024.
     pub min_eigenvalue: f32,
 }
 
-/// Where a point was found.
+/// Result of tracking a point.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TrackedPoint {
-    /// Pixels, the first pixel's centre at (0.5, 0.5).
+    /// Pixels, the first pixel's center at (0.5, 0.5).
     pub position: Point2<f32>,
-    /// Mean difference of the windows, grey values.
+    /// Mean difference of the windows, gray values.
     pub difference: f32,
 }
 
-/// Where a point was found from which the way leads back.
+/// Result of tracking a point forward and backward.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Returned {
-    /// In the second picture, pixels, the first pixel's centre at (0.5, 0.5).
+    /// Position in the second image, pixels, the first pixel's center at (0.5, 0.5).
     pub position: Point2<f32>,
-    /// Mean difference of the windows, grey values: the larger one of both ways.
+    /// Mean difference of the windows, gray values: the larger one of both directions.
     pub difference: f32,
-    /// Distance between the point and where following it back leads, pixels.
+    /// Forward-backward error: distance between the point and its position after tracking back, pixels.
     pub round_trip_px: f32,
 }
 
 impl LucasKanade {
-    /// Follows points from one picture to another, from where they may be found; `None` for those that are not.
+    /// Tracks points from one image to another, from initial guesses; `None` for lost points.
     ///
-    /// * `points`, `guesses` – as many of each, pixels, the first pixel's centre at (0.5, 0.5).
+    /// * `points`, `guesses` – as many of each, pixels, the first pixel's center at (0.5, 0.5).
     pub fn follow(
         &self,
         from: &Pyramid,
@@ -86,8 +86,9 @@ impl LucasKanade {
         found.collect()
     }
 
-    /// The same there and back; `None` for those that are lost either way. The way back begins as far off as the way
-    /// there.
+    /// Tracks points forward and backward; `None` for points lost in either direction.
+    ///
+    /// The initial offset of the backward guess equals that of the forward guess.
     pub fn there_and_back(
         &self,
         from: &Pyramid,
@@ -114,13 +115,13 @@ impl LucasKanade {
         returned.collect()
     }
 
-    /// The same from near guesses, which need no more than the finest pictures.
+    /// Tracker for accurate guesses, which use only the two finest pyramid levels.
     pub fn near(self) -> Self {
         Self { num_smaller: self.num_smaller.min(1), ..self }
     }
 }
 
-/// Some points, for whatever vector instructions the processor has.
+/// Tracking of some points, compiled for all vector instruction sets and dispatched at run time.
 struct Work<'a> {
     method: &'a LucasKanade,
     from: &'a [GrayImage],
@@ -177,14 +178,13 @@ impl Workplace<'_> {
                 let ([x, y], difference) = seen?;
                 return Some(TrackedPoint { position: Point2::new(x + 0.5, y + 0.5), difference });
             }
-            // The larger pictures may show what a smaller one does not.
+            // Finer levels may succeed where a coarser one fails.
             position = seen.map_or(position, |(position, _)| position).map(|value| 2.0 * value);
         }
         None
     }
 
-    /// Position and mean difference in one picture of the pyramid; `None` where the window leaves the picture, or shows
-    /// too little.
+    /// Position and mean difference in one pyramid level; `None` if the window leaves the image or lacks texture.
     #[inline(always)]
     fn follow_in<S: Simd>(
         &mut self,
@@ -219,7 +219,7 @@ impl Workplace<'_> {
             if delta[0] * delta[0] + delta[1] * delta[1] <= self.method.converged_px * self.method.converged_px {
                 break;
             }
-            // To and fro: the middle is as good as either.
+            // Oscillation: the midpoint is as good as either end.
             if step > 0 && delta.iter().zip(previous).all(|(now, before)| (now + before).abs() < 0.01) {
                 first = [first[0] - 0.5 * delta[0], first[1] - 0.5 * delta[1]];
                 break;
@@ -229,11 +229,11 @@ impl Workplace<'_> {
         Some(([first[0] + half[0], first[1] + half[1]], mean))
     }
 
-    /// Returns true if some of the window may lie in the image.
+    /// Returns true if the window may overlap the image.
     #[inline(always)]
     fn is_near(&self, first: [f32; 2], picture: &GrayImage) -> bool {
         let is_near = |first: f32, length: usize, side: u32| {
-            // Not a number is nowhere.
+            // False for NaN.
             side > 0
                 && first.abs() < 1e8
                 && whole_below(first) >= -(length as i64)
@@ -242,7 +242,7 @@ impl Workplace<'_> {
         is_near(first[0], self.window.width, picture.width()) && is_near(first[1], self.window.height, picture.height())
     }
 
-    /// The inverse of Σ g gᵀ: its first, mixed and last entry. `None` where the window shows too little.
+    /// Inverse of Σ g gᵀ: its first, mixed and last entry. `None` if the window lacks texture.
     #[inline(always)]
     fn inverse(&self) -> Option<[f32; 3]> {
         let [a, b, c] = self.template.products;

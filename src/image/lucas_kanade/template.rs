@@ -1,7 +1,7 @@
-//! Window round a point in the first image, and its difference from another image.
+//! Window around a point in the first image, and its difference from another image.
 //!
-//! Everything here is inlined into one function for each set of vector instructions. Windows are cut in strips as wide
-//! as a vector, whose rows follow one another.
+//! All functions are inlined into one function per vector instruction set. Windows are split into strips as wide as a
+//! vector, stored row by row.
 
 use ::image::GrayImage;
 use pulp::Simd;
@@ -10,27 +10,28 @@ use super::LANES;
 use super::area::{Area, SubpixelPosition, load, whole_below};
 use super::window::Window;
 
-/// A window's grey values, their gradients, and the sums that a step needs.
+/// Gray values and gradients of a window, and the sums needed for a step.
 #[derive(Default)]
 pub(super) struct Template {
     values: Vec<f32>,
     across: Vec<f32>,
     down: Vec<f32>,
-    /// Sums of products of the gradient: across twice, mixed, down twice.
+    /// Sums of products of gradient components: xx, xy, yy.
     pub products: [f32; 3],
 }
 
 /// Difference of an image from a template.
 pub(super) struct Difference {
-    /// Sum over the window of the difference times the gradient, across and down.
+    /// Sum over the window of the difference times the gradient, x and y.
     pub along_gradient: [f32; 2],
-    /// Mean of its absolute value, grey values.
+    /// Mean of its absolute value, gray values.
     pub mean: f32,
 }
 
 impl Template {
-    /// Of the window with its first pixel at `first`. Gradients are Scharr's, of the pixels between the picture's; what
-    /// lies next to the picture has none.
+    /// Sets the template to the window with its first pixel at `first`.
+    ///
+    /// Scharr gradients are computed of the interpolated pixels; they are zero outside the image.
     #[inline(always)]
     pub fn fill<S: Simd>(&mut self, simd: S, area: &mut Area, picture: &GrayImage, first: [f32; 2], window: Window) {
         area.cut_around(picture, first, window, 1);
@@ -56,7 +57,7 @@ impl Template {
                 let mut gy = simd.sub_f32s(below.smooth, above.smooth);
                 if !is_whole {
                     let place = [first[0] + column as f32, first[1] + row as f32];
-                    forget_beside(simd, [&mut gx, &mut gy], place, picture);
+                    zero_gradients_outside(simd, [&mut gx, &mut gy], place, picture);
                 }
                 sums[0] = simd.mul_add_f32s(gx, gx, sums[0]);
                 sums[1] = simd.mul_add_f32s(gx, gy, sums[1]);
@@ -94,21 +95,21 @@ impl Template {
     }
 }
 
-/// The rows of a strip, one after the other, between pixels.
+/// Successive rows of a strip, interpolated between pixels.
 struct Rows<'a, S: Simd> {
     area: &'a Area,
     column: usize,
     fraction: [S::f32s; 2],
-    /// The last one of the picture, at the column before, the column itself and the one after it.
+    /// Previous image row, at the column before, the column itself and the one after it.
     last: [S::f32s; 3],
 }
 
 /// A row of a strip.
 struct Row<S: Simd> {
     value: S::f32s,
-    /// From the column before to the one after.
+    /// Difference of the column after and the one before.
     step: S::f32s,
-    /// Across, as Scharr smooths.
+    /// Horizontal Scharr smoothing.
     smooth: S::f32s,
 }
 
@@ -132,9 +133,9 @@ impl<'a, S: Simd> Rows<'a, S> {
     }
 }
 
-/// Takes the gradients away of pixels that lie next to the picture; `place` is that of the first.
+/// Zeroes the gradients of pixels outside the image; `place` is the position of the first pixel.
 #[inline(always)]
-fn forget_beside<S: Simd>(simd: S, gradients: [&mut S::f32s; 2], place: [f32; 2], picture: &GrayImage) {
+fn zero_gradients_outside<S: Simd>(simd: S, gradients: [&mut S::f32s; 2], place: [f32; 2], picture: &GrayImage) {
     let is_within = |value: f32, side: u32| value >= 0.0 && value <= side as f32 - 1.0;
     let is_row_within = is_within(place[1], picture.height());
     let counts = |x: usize| is_row_within && is_within(place[0] + x as f32, picture.width());

@@ -1,4 +1,4 @@
-//! Held against the truth of made-up pictures, and, where OpenCV's module `video` is there, against OpenCV.
+//! Comparison with ground truth of synthetic images, and with OpenCV if its module `video` is available.
 
 #[cfg(feature = "perception")]
 mod opencv;
@@ -19,7 +19,7 @@ fn texture(seed: u64) -> GrayImage {
     ::image::imageops::resize(&coarse, 300, 200, ::image::imageops::FilterType::CatmullRom)
 }
 
-/// Waves of 9 to 40 pixels in all directions, moved to the right and down by so much.
+/// Waves of 9 to 40 pixels in all directions, shifted to the right and down.
 fn waves(seed: u64, [right, down]: [f64; 2]) -> GrayImage {
     let mut rng = seeded_rng(seed, 0);
     let waves: Vec<[f64; 3]> = (0..16)
@@ -36,7 +36,7 @@ fn waves(seed: u64, [right, down]: [f64; 2]) -> GrayImage {
     })
 }
 
-/// The picture moved to the right and down by so much.
+/// The image shifted to the right and down.
 fn moved(picture: &GrayImage, [x, y]: [f64; 2]) -> GrayImage {
     let map = nalgebra::Matrix2x3::new(1.0, 0.0, -x, 0.0, 1.0, -y);
     warp_gray(picture, &map, picture.width(), picture.height()).unwrap()

@@ -2,7 +2,7 @@
 
 use super::LANES;
 
-/// Columns and rows of pixels round a point that are compared.
+/// Size of the window compared around a point, pixels.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Window {
     pub width: usize,
@@ -10,8 +10,9 @@ pub(super) struct Window {
 }
 
 impl Window {
-    /// The window that represents a square of `2 radius + 1` pixels a side: about as many pixels, in rows of whole
-    /// vectors. Its following takes half the time, and finds as much.
+    /// Window equivalent to a square of `2 radius + 1` pixels a side: about as many pixels, in rows of whole vectors.
+    ///
+    /// Tracking takes half the time, with equal success.
     ///
     /// * `radius_px` – at least 1 and at most some thousand.
     pub fn of_radius(radius_px: usize) -> Self {
@@ -25,7 +26,7 @@ impl Window {
         self.width * self.height
     }
 
-    /// From its first pixel's centre to its middle.
+    /// Offset from the first pixel's center to the middle of the window.
     pub fn half(self) -> [f32; 2] {
         [(self.width - 1) as f32 / 2.0, (self.height - 1) as f32 / 2.0]
     }

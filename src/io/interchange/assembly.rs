@@ -9,18 +9,18 @@ use crate::camera::{Camera, Model};
 use crate::io::{IoError, extent};
 use crate::scene::{CameraForm, CameraId, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-/// A rotation from its matrix; `None` if the matrix is none to 10⁻⁵.
+/// Rotation of a matrix; `None` if the matrix is not a rotation to 10⁻⁵.
 pub fn rotation(matrix: &Matrix3<f64>) -> Option<UnitQuaternion<f64>> {
     let error = (matrix * matrix.transpose() - Matrix3::identity()).norm();
     let is_rotation = error < 1e-5 && matrix.determinant() > 0.0;
     let found =
         is_rotation.then(|| UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(*matrix)))?;
-    // Of a matrix that is one to 10⁻⁵ only, the quaternion is of unit length no better.
+    // For a matrix that is a rotation only to 10⁻⁵, the quaternion has unit length only to that precision.
     unit_quaternion(found.into_inner())
 }
 
-/// A unit quaternion from one of any length; one that is of unit length to rounding is kept as it is. `None` if the
-/// length is next to nothing, or too large to be a number.
+/// Normalizes a quaternion; one of unit length to rounding is unchanged. `None` if the length is nearly zero, or too
+/// large to be a number.
 pub fn unit_quaternion(stored: Quaternion<f64>) -> Option<UnitQuaternion<f64>> {
     let norm = stored.norm();
     if (norm - 1.0).abs() < 1e-12 {
@@ -47,7 +47,7 @@ pub fn add_point(
     }
     position.iter().all(|c| c.is_finite()).then_some(())?;
     let mut point = Point3d { position, rgb, error_px: 0.0, track };
-    // COLMAP says −1 where an error is not known.
+    // COLMAP writes −1 for an unknown error.
     point.error_px = model.errors_of(&point).map_or(-1.0, |errors| mean(&errors));
     model.points.insert(id, point);
     Some(())
@@ -57,7 +57,7 @@ fn mean(values: &[f64]) -> f64 {
     if values.is_empty() { 0.0 } else { values.iter().sum::<f64>() / values.len() as f64 }
 }
 
-/// Refuses what no file can hold and nobody can mean: numbers that are not finite, and coordinates beyond any sense.
+/// Refuses impossible numbers: not finite, or coordinates beyond the limit.
 pub fn check_finite(path: &Path, model: &Reconstruction) -> Result<(), IoError> {
     let refuse = |what: String| Err(IoError::content(path, format!("{what} is not finite")));
     for (id, camera) in &model.cameras {
@@ -82,13 +82,13 @@ pub fn check_finite(path: &Path, model: &Reconstruction) -> Result<(), IoError> 
     }
 }
 
-/// Refuses a camera that nothing can be projected with, for a format that has pinholes alone.
+/// Refuses a camera that cannot project, for a format that has pinholes only.
 pub fn check_lenses(path: &Path, model: &Reconstruction, format: &str) -> Result<(), IoError> {
     let Some((id, name)) = model.first_foreign() else { return Ok(()) };
     Err(unsupported_camera(path, id, &format!("camera model {name}"), format))
 }
 
-/// Refuses names that do not stand in a line by themselves.
+/// Refuses names that cannot be a line of text.
 pub fn check_line_names(path: &Path, model: &Reconstruction) -> Result<(), IoError> {
     let cannot = |name: &str| name.is_empty() || name.trim() != name || name.contains(['\n', '\r', '\t', '\0', '"']);
     match model.images.iter().find(|(_, image)| cannot(&image.name)) {
@@ -99,13 +99,13 @@ pub fn check_line_names(path: &Path, model: &Reconstruction) -> Result<(), IoErr
     }
 }
 
-/// The error about a camera that a format has no place for.
+/// Error about a camera that a format cannot represent.
 pub fn unsupported_camera(path: &Path, id: CameraId, what: &str, format: &str) -> IoError {
     IoError::unsupported(path, format!("camera {}: {what} in {format}", id.0), "write a COLMAP model instead")
 }
 
-/// A camera as a format has it: by `covered`, or by `foreign` if this program cannot project with it; the error of
-/// either says what the format has no place for.
+/// Converts a camera to a format: by `covered`, or by `foreign` if this program cannot project with it; the error of
+/// either names the unsupported part.
 pub fn written_camera<T>(
     path: &Path,
     model: &Reconstruction,
@@ -122,17 +122,17 @@ pub fn written_camera<T>(
     written.map_err(|what| unsupported_camera(path, id, &what, format))
 }
 
-/// A camera that this program cannot project with, and its form.
+/// Creates a camera that this program cannot project with, and its form.
 pub fn foreign_camera(model: Model, width: u32, height: u32, params: &[f64]) -> (Camera, CameraForm) {
     (model.pinhole_part(width, height, params), CameraForm::Foreign(model, params.to_vec()))
 }
 
-/// Width and height of the picture at `name` next to the file at `path`, if there is one.
+/// Width and height of the image at `name` next to the file at `path`, if there is one.
 pub fn picture_size(path: &Path, name: &str) -> Option<(u32, u32)> {
     image::image_dimensions(path.with_file_name("").join(name)).ok()
 }
 
-/// Data that a format cannot hold, in words.
+/// Data that a format cannot represent, as sentences.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Losses(Vec<String>);
 
@@ -142,13 +142,13 @@ impl Losses {
         &self.0
     }
 
-    /// One more.
+    /// Adds a sentence.
     pub fn with(mut self, sentence: String) -> Self {
         self.0.push(sentence);
         self
     }
 
-    /// One more if there is any; `one` follows the number 1, `many` all others.
+    /// Adds a count unless it is zero; `one` follows the number 1, `many` all others.
     pub fn counted(self, count: usize, one: &str, many: &str) -> Self {
         match count {
             0 => self,
@@ -157,7 +157,7 @@ impl Losses {
         }
     }
 
-    /// The format has no colours.
+    /// Counts the colors that the format cannot represent.
     pub fn colors(self, model: &Reconstruction) -> Self {
         let colored = model.points.values().filter(|point| point.rgb != [255; 3]).count();
         self.counted(
@@ -167,7 +167,7 @@ impl Losses {
         )
     }
 
-    /// The format has no features that see no point.
+    /// Counts the features without a point that the format cannot represent.
     pub fn unmatched_features(self, model: &Reconstruction) -> Self {
         let features = model.images.values().flat_map(|image| &image.observations);
         let unmatched = features.filter(|o| o.point.is_none()).count();
@@ -179,7 +179,7 @@ impl Losses {
     }
 }
 
-/// A number in messages: six significant digits.
+/// Number for messages, with six significant digits.
 pub struct Short(pub f64);
 
 impl fmt::Display for Short {

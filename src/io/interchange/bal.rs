@@ -8,8 +8,8 @@
 //! P = R X + t,   p = −P / P_z,   pixel = f (1 + k1 ‖p‖² + k2 ‖p‖⁴) p.
 //! ```
 //!
-//! On reading, cameras are turned by 180° about their x axis, so that z points forward, and the second pixel coordinate
-//! changes its sign; residuals keep their length. Image sizes are not in the file and read as zero.
+//! On reading, cameras are rotated by 180° about their x axis, so that z points forward, and the second pixel
+//! coordinate changes its sign; residuals keep their length. Image sizes are not in the file and are read as zero.
 
 use std::path::Path;
 
@@ -21,10 +21,10 @@ use crate::io::IoError;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Reconstruction, TrackElement};
 
-/// Reads a problem: one camera of its own for every image; camera, image and point ids are the file's indices plus one.
+/// Reads a problem with one camera per image; camera, image and point ids are the file's indices plus one.
 ///
 /// # Errors
-/// [`IoError`] with path, line and field where the file breaks off, holds what is no finite number, or an index past
+/// [`IoError`] with path, line and field if the file is truncated, has a number that is not finite, or an index past
 /// the counts in its first line.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     parse(&mut Text::read_file(path)?.words())
@@ -71,7 +71,7 @@ fn connect(model: &mut Reconstruction, seen: &[(u32, u32, Point2<f64>)]) {
     }
 }
 
-/// A count; ids and sums of two counts fit in 32 bits.
+/// Reads a count; ids and sums of two counts fit in 32 bits.
 fn count(words: &mut Words<'_>, field: &str) -> Result<u32, IoError> {
     // An entry has at least a digit and a blank.
     let count = words.count(field, 2)?;
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_cut_anywhere_is_an_error_with_its_line() {
+    fn a_truncated_file_is_an_error_with_its_line() {
         let last_value = TWO_CAMERAS.trim_end().len() - 2;
         for length in 0..last_value {
             match parse_text(&TWO_CAMERAS[..length]) {

@@ -1,23 +1,22 @@
-//! Bundler's `bundle.out`, and the list of its pictures.
+//! Bundler's `bundle.out`, and the list of its images.
 //!
 //! The format of N. Snavely's Bundler (`doc/output.txt`, "Bundle file v0.3"): per camera f, k₁, k₂, the rows of R and
-//! t; per point position, colour, and the views that see it. A camera looks along its *negative* z axis, x right and y
-//! *up*:
+//! t; per point position, color, and its observations. A camera looks along its *negative* z axis, x right and y *up*:
 //!
 //! ```text
 //! P = R X + t,    p = −(P.x, P.y) / P.z,    p' = f (1 + k₁ |p|² + k₂ |p|⁴) p.
 //! ```
 //!
-//! p' has its origin in the middle of the picture. So y and z of the camera change their sign here, k₁ and k₂ are those
-//! of this program, and a pixel is (w/2 + x, h/2 − y). Neither names nor sizes of pictures are in the file. Names are
-//! read from `list.txt`, `NAME.list.txt` or the only other list next to it (`imagelist.lst`), one line per camera, and
-//! written to `list.txt`; without it they are six-digit numbers from 0. Of absolute paths the file name is taken. Sizes
-//! are those of the pictures where these lie next to the file, else the smallest even ones that hold all features. A
-//! camera with f = 0 is not registered.
+//! p' has its origin in the image center. So y and z of the camera change their sign here, k₁ and k₂ are those of this
+//! program, and a pixel is (w/2 + x, h/2 − y). Neither names nor sizes of images are in the file. Names are read from
+//! `list.txt`, `NAME.list.txt` or the only other list next to it (`imagelist.lst`), one line per camera, and written to
+//! `list.txt`; without it they are six-digit numbers from 0. Of absolute file paths only the file name is used. Sizes
+//! are those of the image files if these are next to the file, otherwise the smallest even ones that contain all
+//! features. A camera with f = 0 is not registered.
 //!
 //! Written are pinholes with one focal length and k₁, k₂. Positions are relative to the principal point, as in the
-//! models that COLMAP writes, so that all adjusted values keep their meaning for who reads it as a principal point in
-//! the middle.
+//! models that COLMAP writes, so that all adjusted values keep their meaning for readers that assume a central
+//! principal point.
 
 use std::path::{Path, PathBuf};
 
@@ -36,16 +35,16 @@ pub const MAGIC: &str = "# Bundle file v0.3";
 
 const FORMAT: &str = "Bundler's format";
 
-/// From Bundler's camera axes to ours and back.
+/// Rotation from Bundler's camera axes to ours and back.
 fn turn() -> Rotation3<f64> {
     Rotation3::from_matrix_unchecked(Matrix3::from_diagonal(&Vector3::new(1.0, -1.0, -1.0)))
 }
 
-/// Reads a reconstruction. Ids are places in the file plus one.
+/// Reads a reconstruction. Ids are indices in the file plus one.
 ///
 /// # Errors
-/// A missing file, a wrong field (with its place), a rotation that is none, another version of the format, or a view
-/// that is not there.
+/// A missing file, an invalid field (with its position), an invalid rotation, another version of the format, or a
+/// missing view.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let text = Text::read_file(path)?;
     let mut words = text.words();
@@ -90,7 +89,8 @@ fn add_camera(words: &mut Words<'_>, index: u32, name: String, model: &mut Recon
     Ok(())
 }
 
-/// The names of the list next to the file; none without one. Bundler writes `name 0 focal`, others the name alone.
+/// Names from the list next to the file; none without a list. Bundler writes `name 0 focal`, other programs only the
+/// name.
 fn names(path: &Path) -> Result<Vec<String>, IoError> {
     let Some(list) = lists(path).into_iter().next() else { return Ok(Vec::new()) };
     let text = Text::read_file(&list)?;
@@ -105,13 +105,13 @@ fn names(path: &Path) -> Result<Vec<String>, IoError> {
     Ok(text.records().map(|(_, line)| relative(name(line))).collect())
 }
 
-/// A relative name as it is; of an absolute path, of any system, the file name.
+/// A relative name unchanged; of an absolute path, of any system, the file name.
 fn relative(name: String) -> String {
     let is_absolute = name.starts_with(['/', '\\']) || name.get(1..3) == Some(":\\");
     if is_absolute { name.rsplit(['/', '\\']).next().unwrap_or_default().to_owned() } else { name }
 }
 
-/// The list of the pictures next to a file, if there is one: of the usual names, or the only one of another name.
+/// The image list next to a file, if there is one: of the usual names, or the only one of another name.
 pub(super) fn lists(path: &Path) -> Vec<PathBuf> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
     let usual = ["list.txt".to_owned(), format!("{stem}.list.txt")].map(|name| path.with_file_name(name));
@@ -128,15 +128,15 @@ pub(super) fn lists(path: &Path) -> Vec<PathBuf> {
     if others.len() == 1 { others } else { Vec::new() }
 }
 
-/// The files that are written: the model and the list of its pictures.
+/// The files that are written: the model and its image list.
 pub fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_path_buf(), path.with_file_name("list.txt")]
 }
 
-/// Writes a reconstruction and the list of its pictures, and says what the format has no place for.
+/// Writes a reconstruction and its image list, and returns the losses of the format.
 ///
 /// # Errors
-/// A system error, a number that is not finite, or a camera that is no pinhole with one focal length and k₁, k₂.
+/// A system error, a number that is not finite, or a camera other than a pinhole with one focal length and k₁, k₂.
 pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_finite(path, model)?;
     check_lenses(path, model, FORMAT)?;
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_comes_back() {
+    fn a_model_round_trips() {
         let lens = |values: &[f64]| Camera::prior(960, 540).with_parameters(values).unwrap();
         let model = model_with(&[lens(&[700.0, 700.0, 480.0, 270.0, -0.1, 0.02]), lens(&[710.0, 710.0, 480.0, 270.0])]);
         let folder = tempfile::tempdir().unwrap();
@@ -228,7 +228,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_said_with_its_place() {
+    fn damage_is_reported_with_its_position() {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to), None).unwrap_err().to_string();
         assert!(says("v0.3", "v0.4").contains("version 0.3"));
         assert!(says("1 0 0\n0 1 0", "1 0 0\n0 2 0").contains("not a rotation"));

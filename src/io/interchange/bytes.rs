@@ -1,23 +1,23 @@
-//! Reading binary fields from a file held in memory, with errors that say where.
+//! Reading of binary fields from a file in memory, with errors that name the position.
 
 use std::path::{Path, PathBuf};
 
 use crate::files;
 use crate::io::IoError;
 
-/// The bytes of a file.
+/// Bytes of a file.
 pub struct Bytes {
     path: PathBuf,
     content: Vec<u8>,
 }
 
-/// A place in the bytes of a file; each reader moves it on.
+/// Position in the bytes of a file; each reader advances it.
 pub struct Cursor<'a> {
     path: &'a Path,
     content: &'a [u8],
-    /// Where the next field starts.
+    /// Start of the next field.
     offset: usize,
-    /// Where the last field started, for errors about its value.
+    /// Start of the last field, for errors about its value.
     last: usize,
 }
 
@@ -33,7 +33,7 @@ impl Bytes {
 }
 
 impl<'a> Cursor<'a> {
-    /// An error about the field read last.
+    /// Creates an error about the field read last.
     pub fn error(&self, field: &str, problem: impl Into<String>) -> IoError {
         IoError::Byte { path: self.path.into(), offset: self.last, field: field.into(), problem: problem.into() }
     }
@@ -54,14 +54,14 @@ impl<'a> Cursor<'a> {
         Ok(u64::from_le_bytes(self.array(field)?))
     }
 
-    /// A double that is neither infinite nor NaN.
+    /// Reads a double that is neither infinite nor NaN.
     pub fn finite(&mut self, field: &str) -> Result<f64, IoError> {
         let value = f64::from_le_bytes(self.array(field)?);
         if value.is_finite() { Ok(value) } else { Err(self.error(field, format!("{value} is not a finite number"))) }
     }
 
-    /// A 64-bit count of records that take at least `min_bytes` each: never more than the rest of the file can hold, so
-    /// that it is safe to allocate for.
+    /// Reads a 64-bit count of records of at least `min_bytes` each, bounded by the rest of the file, so that it is
+    /// safe to allocate for.
     pub fn count(&mut self, field: &str, min_bytes: usize) -> Result<usize, IoError> {
         let count = self.u64(field)?;
         let room = (self.content.len() - self.offset) / min_bytes;
@@ -77,7 +77,7 @@ impl<'a> Cursor<'a> {
         }
     }
 
-    /// Text up to a zero byte.
+    /// Reads text up to a zero byte.
     pub fn c_string(&mut self, field: &str) -> Result<String, IoError> {
         self.last = self.offset;
         let rest = &self.content[self.offset..];
@@ -88,7 +88,7 @@ impl<'a> Cursor<'a> {
         String::from_utf8(rest[..length].to_vec()).map_err(|_| self.error(field, "not UTF-8"))
     }
 
-    /// An error if anything follows.
+    /// Returns an error if any bytes follow.
     pub fn end(&mut self) -> Result<(), IoError> {
         self.last = self.offset;
         match self.content.len() - self.offset {

@@ -1,6 +1,6 @@
-//! Camera paths without pictures: text files of TUM, EuRoC and KITTI, read as sides of a comparison.
+//! Camera trajectories without images: text files of TUM, EuRoC and KITTI, read for a comparison.
 //!
-//! All hold `world_from_camera`, with this program's camera axes (EuRoC: of the body).
+//! All store `world_from_camera`, with this program's camera axes (EuRoC: of the body).
 //!
 //! * TUM (J. Sturm et al., *A Benchmark for the Evaluation of RGB-D SLAM Systems*, IROS 2012; its "File Formats" page):
 //!   per line the time, the position, and the quaternion with its scalar *last*: `t tx ty tz qx qy qz qw`.
@@ -9,8 +9,8 @@
 //! * KITTI (A. Geiger et al., *Are we ready for Autonomous Driving?*, CVPR 2012; odometry development kit): per line
 //!   the upper 3 × 4 of the matrix, row by row.
 //!
-//! There are no names. An image is called by its time in seconds ([`time_of`]), whatever unit the file has, or for
-//! KITTI by its line from 0 with six digits, as that benchmark's pictures are called. Nothing is known of a lens, so
+//! There are no names. An image is named by its time in seconds ([`time_of`]), in whatever unit the file has it, or for
+//! KITTI by its line from 0 with six digits, as that benchmark's images are named. The intrinsics are unknown, so
 //! nothing can be projected.
 
 use std::path::Path;
@@ -26,10 +26,10 @@ use crate::scene::{CameraForm, CameraId, Image, ImageId, Reconstruction, clock_i
 
 const CAMERA: CameraId = CameraId(1);
 
-/// Reads a path in TUM's or EuRoC's form.
+/// Reads a trajectory in TUM's or EuRoC's format.
 ///
 /// # Errors
-/// A missing file, or a line that is not of eight numbers, or whose quaternion is no rotation.
+/// A missing file, or a line without eight numbers, or with an invalid quaternion.
 pub fn read_tum(path: &Path) -> Result<Reconstruction, IoError> {
     let is_euroc = Text::read_file(path)?.records().next().is_some_and(|(_, first)| first.contains(','));
     read(path, |_, values: &[f64; 8]| {
@@ -40,20 +40,20 @@ pub fn read_tum(path: &Path) -> Result<Reconstruction, IoError> {
     })
 }
 
-/// Name of an image by its time: seconds, to a microsecond, which is what a number of this size can hold.
+/// Name of an image by its time: seconds, to a microsecond, the resolution of a double of this size.
 pub fn name_of(time_s: f64) -> String {
     format!("{time_s:.6}")
 }
 
-/// Time in seconds of an image of a path in TUM's or EuRoC's form.
+/// Time in seconds of an image of a trajectory in TUM's or EuRoC's format.
 pub fn time_of(image: &Image) -> Option<f64> {
     image.name.parse().ok()
 }
 
-/// Reads a path in KITTI's form.
+/// Reads a trajectory in KITTI's format.
 ///
 /// # Errors
-/// A missing file, or a line that is not of twelve numbers, or whose matrix is no rigid motion.
+/// A missing file, or a line without twelve numbers, or whose matrix is not a rigid motion.
 pub fn read_kitti(path: &Path) -> Result<Reconstruction, IoError> {
     read(path, |index, v: &[f64; 12]| {
         let matrix = Matrix3::new(v[0], v[1], v[2], v[4], v[5], v[6], v[8], v[9], v[10]);
@@ -63,7 +63,7 @@ pub fn read_kitti(path: &Path) -> Result<Reconstruction, IoError> {
     })
 }
 
-/// Reads lines of `N` numbers, each of which `pose` turns into a name, `world_from_camera`'s rotation, and a centre.
+/// Reads lines of `N` numbers, each converted by `pose` to a name, `world_from_camera`'s rotation, and a center.
 fn read<const N: usize>(
     path: &Path,
     pose: impl Fn(u32, &[f64; N]) -> Option<(String, UnitQuaternion<f64>, Point3<f64>)>,
@@ -73,7 +73,7 @@ fn read<const N: usize>(
     for (index, (line, record)) in (0..).zip(text.records()) {
         let fields = record.split(|c: char| c.is_whitespace() || c == ',').filter(|word| !word.is_empty());
         let values: Vec<f64> = match record.contains(',') {
-            // EuRoC's truth goes on with velocities and biases.
+            // EuRoC's ground truth continues with velocities and biases.
             true => fields.take(N).filter_map(|word| word.parse().ok()).collect(),
             false => fields.filter_map(|word| word.parse().ok()).collect(),
         };
@@ -112,7 +112,7 @@ mod tests {
     }
 
     #[test]
-    fn both_hold_the_camera_in_the_world() {
+    fn both_store_world_from_camera() {
         let tum = in_file(TUM, read_tum).unwrap();
         assert_eq!(tum.images[&ImageId(1)].name, "1305031102.175800");
         let exponents =
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_broken_line_is_named() {
+    fn an_invalid_line_is_named() {
         let error = in_file(&TUM.replace(" 0 0 0 1", " 0 0 0 0"), read_tum).unwrap_err().to_string();
         assert!(error.contains("line 3: pose: invalid rotation"), "{error}");
         let error = in_file(&KITTI.replace("1 6", "6"), read_kitti).unwrap_err().to_string();

@@ -11,7 +11,7 @@ use crate::camera::{Camera, HigherTerms};
 use crate::io::IoError;
 use crate::scene::{CameraId, ImageId, Point3dId, Reconstruction};
 
-/// A point, and where views see it: pixels right and down from the middle of the picture.
+/// A point and its observations: pixels right and down from the image center.
 pub struct Centered {
     pub position: Point3<f64>,
     pub rgb: [u8; 3],
@@ -19,8 +19,8 @@ pub struct Centered {
 }
 
 impl Centered {
-    /// Reads a point: position, colour, number of views, and of each view its camera, the feature and its place. `down`
-    /// is 1 where the format counts downwards, −1 where it counts upwards.
+    /// Reads a point: position, color, number of observations, and for each its camera, the feature and its position.
+    /// `down` is 1 if the format's y axis points down, −1 if it points up.
     pub fn read(words: &mut Words<'_>, num_cameras: usize, down: f64) -> Result<Self, IoError> {
         let position = Point3::from(words.finites::<3>("position of a point")?);
         let rgb = [words.number("red")?, words.number("green")?, words.number("blue")?];
@@ -39,16 +39,16 @@ impl Centered {
     }
 }
 
-/// Widths and heights of pictures, pixels.
+/// Widths and heights of images, pixels.
 pub type Sizes = BTreeMap<ImageId, (u32, u32)>;
 
-/// The sizes of those pictures that lie where `path` does.
+/// Sizes of the image files that are next to `path`.
 pub fn sizes_of_files(path: &Path, model: &Reconstruction) -> Sizes {
     model.images.iter().filter_map(|(id, image)| Some((*id, picture_size(path, &image.name)?))).collect()
 }
 
-/// Gives every camera, which serves one image, the size of its picture: the one that is known, else the smallest even
-/// one that holds all places seen. The principal point is the middle.
+/// Sets the image size of every camera, which belongs to one image: the known size, otherwise the smallest even one
+/// that contains all observations. The principal point is the center.
 pub fn set_picture_sizes(model: &mut Reconstruction, points: &[Centered], known: &Sizes) {
     let mut reach: BTreeMap<ImageId, [f64; 2]> = BTreeMap::new();
     for (image, place) in points.iter().flat_map(|point| &point.seen) {
@@ -65,10 +65,10 @@ pub fn set_picture_sizes(model: &mut Reconstruction, points: &[Centered], known:
     }
 }
 
-/// Adds points in the order of the file; ids are their places in it plus one.
+/// Adds points in the order of the file; ids are their indices in it plus one.
 ///
 /// # Errors
-/// None that a reader does not find before: a number that is not finite.
+/// A number that is not finite; readers find all others before.
 pub fn add_points(path: &Path, model: &mut Reconstruction, points: Vec<Centered>) -> Result<(), IoError> {
     for (index, Centered { position, rgb, seen }) in (1..).zip(points) {
         let middle: BTreeMap<ImageId, Vector2<f64>> = seen
@@ -100,12 +100,12 @@ pub fn check_two_radial(path: &Path, id: CameraId, camera: &Camera, format: &str
     }
 }
 
-/// The places of images in the file.
+/// Indices of images in the file.
 pub fn places(model: &Reconstruction) -> BTreeMap<ImageId, usize> {
     model.images.keys().enumerate().map(|(place, id)| (*id, place)).collect()
 }
 
-/// Data that these formats cannot hold.
+/// Data that these formats cannot represent.
 pub fn losses(model: &Reconstruction) -> Losses {
     let is_off = |camera: &&Camera| camera.principal != [f64::from(camera.width) / 2.0, f64::from(camera.height) / 2.0];
     Losses::default()

@@ -1,4 +1,4 @@
-//! Formats of other programs: COLMAP, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, BAL, camera paths and PLY.
+//! Formats of other programs: COLMAP, OpenMVG, OpenSfM, nerfstudio, NVM, Bundler, BAL, camera trajectories and PLY.
 
 pub(super) mod assembly;
 pub mod bal;

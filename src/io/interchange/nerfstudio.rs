@@ -1,16 +1,16 @@
-//! nerfstudio's `transforms.json`, which instant-ngp reads, too.
+//! nerfstudio's `transforms.json`, also read by instant-ngp.
 //!
 //! Conventions are those of nerfstudio's documentation ("Data conventions") and of its `colmap_utils.py`.
 //! `transform_matrix` is `world_from_camera` with OpenGL's camera axes, x right, y *up*, z *backwards*: its second and
-//! third columns change their sign here. Pixels are counted from the corner, as here. Where the program that made the
-//! file has moved the world it says how in `applied_transform` (3 × 4, or 4 × 4), which is undone. Intrinsics stand at
-//! the top, or with a frame. A file without `camera_model` is read as OPENCV, with `is_fisheye` as OPENCV_FISHEYE; k₄
-//! has a place with OPENCV_FISHEYE alone. Where `fl_x` is missing it follows from `camera_angle_x`, and a missing size
-//! from the picture, if that lies next to the file; its name may lack the ending `.png`, as in the scenes of NeRF's
-//! paper.
+//! third columns change their sign here. Pixels are counted from the corner, as here. If the program that wrote the
+//! file has transformed the world, `applied_transform` (3 × 4, or 4 × 4) states the transform, which is undone.
+//! Intrinsics are at the top level, or with a frame. A file without `camera_model` is read as OPENCV, with `is_fisheye`
+//! as OPENCV_FISHEYE; k₄ exists with OPENCV_FISHEYE only. A missing `fl_x` follows from `camera_angle_x`, and a missing
+//! size from the image file, if that is next to the file; its name may lack the ending `.png`, as in the scenes of
+//! NeRF's paper.
 //!
-//! Images get their places in the list plus one as ids, and the name `file_path`. There are no observations in the
-//! format; points are written to `sparse_pc.ply`, which `ply_file_path` names, and are not read.
+//! Ids of images are their indices in the list plus one, and their name is `file_path`. The format has no observations;
+//! points are written to `sparse_pc.ply`, the value of `ply_file_path`, and are not read.
 
 use std::path::{Path, PathBuf};
 
@@ -50,7 +50,7 @@ struct Frame {
 struct Intrinsics {
     #[serde(skip_serializing_if = "Option::is_none")]
     camera_model: Option<String>,
-    /// instant-ngp's mark of an OPENCV_FISHEYE where `camera_model` is missing.
+    /// instant-ngp's mark of an OPENCV_FISHEYE if `camera_model` is missing.
     #[serde(skip_serializing_if = "Option::is_none")]
     is_fisheye: Option<bool>,
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -82,7 +82,7 @@ struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Values of a frame, and for the rest those of the top level.
+    /// Values of a frame, with those of the top level for missing ones.
     fn or(&self, top: &Self) -> Self {
         Self {
             camera_model: self.camera_model.clone().or_else(|| top.camera_model.clone()),
@@ -103,7 +103,7 @@ impl Intrinsics {
         }
     }
 
-    /// With the size of the picture at `name` next to the file at `path`, where no size is given.
+    /// Fills a missing size from the image at `name` next to the file at `path`.
     fn or_size_of(self, path: &Path, name: &str) -> Self {
         if self.w.is_some() && self.h.is_some() {
             return self;
@@ -112,7 +112,7 @@ impl Intrinsics {
         size.map(|(w, h)| Self { w: Some(f64::from(w)), h: Some(f64::from(h)), ..self.clone() }).unwrap_or(self)
     }
 
-    /// The camera, and its form where nothing can be projected with it.
+    /// The camera, and its form if it cannot project.
     fn camera(&self) -> Result<(Camera, Option<CameraForm>), String> {
         let size = |side: Option<f64>| side.filter(|s| *s >= 1.0 && *s < 1e6).map(|s| s.round() as u32);
         let (width, height) =
@@ -171,8 +171,8 @@ impl Intrinsics {
 /// Reads cameras and poses; equal intrinsics become one camera.
 ///
 /// # Errors
-/// A missing file, JSON of another shape, intrinsics that are missing or of an unknown kind, or a matrix that is not
-/// rigid.
+/// A missing file, JSON of another structure, intrinsics that are missing or of an unknown kind, or a matrix that is
+/// not rigid.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     read_with(path, model::Intrinsics::Required)
 }
@@ -233,10 +233,10 @@ pub fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_path_buf(), path.with_file_name(POINTS)]
 }
 
-/// Writes cameras, poses and points, and says what the format has no place for.
+/// Writes cameras, poses and points, and returns the losses of the format.
 ///
 /// # Errors
-/// A system error, a number that is not finite, or a lens that nerfstudio does not have.
+/// A system error, a number that is not finite, or a camera model that nerfstudio does not have.
 pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_finite(path, model)?;
     let cameras = model
@@ -298,7 +298,7 @@ mod tests {
     /// COLMAP's camera at (1, 2, 3) whose axes are the world's: nerfstudio turns y and z of the camera, then exchanges
     /// y and z of the world and turns the latter's sign, which `applied_transform` says.
     #[test]
-    fn axes_of_camera_and_world_take_our_conventions() {
+    fn axes_of_camera_and_world_are_converted_to_our_conventions() {
         let model = read_text(GOLDEN).unwrap();
         let image = &model.images[&ImageId(1)];
         assert_eq!(image.name, "images/a.jpg");
@@ -309,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn cameras_and_poses_come_back() {
+    fn cameras_and_poses_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("transforms.json");
         let model = odd_model();
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_said() {
+    fn missing_values_are_reported() {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to)).unwrap_err().to_string();
         assert!(says("\"w\": 640,", "").contains("frame './images/a.jpg': no image size (w, h)"));
         assert!(says("\"k2\"", "\"k4\"").contains("fourth radial"));

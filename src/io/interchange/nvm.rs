@@ -1,19 +1,20 @@
 //! VisualSFM's N-View Match files, `.nvm`.
 //!
 //! Format and conventions are those of C. Wu's page "VisualSFM: the NVM format": after `NVM_V3` the cameras, one a line
-//! (name, focal length, quaternion w x y z of `cam_from_world`, camera *centre*, radial distortion r, 0), then the
-//! points (position, colour, and per view its place in the list, a feature index, and the place relative to the middle
-//! of the picture). Camera axes are this program's. A blank in a name is written as `"`.
+//! (name, focal length, quaternion w x y z of `cam_from_world`, camera *center*, radial distortion r, 0), then the
+//! points (position, color, and per observation the index of its image, a feature index, and the position relative to
+//! the image center). Camera axes are this program's. A blank in a name is written as `"`.
 //!
-//! r belongs to the *measured* place m, divided by the focal length: the undistorted one is (1 + r |m|²) m. Read, it
-//! becomes k₁ = −r, k₂ = 3 r², k₃ = −12 r³, the first terms of the inverse series. Written is the r that comes nearest
-//! to the lens over the picture; a lens that none follows to half a pixel is refused. Sizes of pictures are not in the
-//! file: they are those of the pictures where these lie next to it, else the smallest even ones that hold all features.
-//! Of several models in a file the first is read.
+//! r applies to the *measured* position m, divided by the focal length: the undistorted one is (1 + r |m|²) m. On
+//! reading, it becomes k₁ = −r, k₂ = 3 r², k₃ = −12 r³, the first terms of the inverse series. The written r is the
+//! best approximation of the distortion over the image; a camera that no r approximates to half a pixel is refused.
+//! Image sizes are not in the file: they are those of the image files if these are next to it, otherwise the smallest
+//! even ones that contain all features. Of several models in a file the first is read.
 //!
-//! VisualSFM itself also writes places from the upper left corner, and does not say so. A file in which no place lies
-//! left of or above its origin is taken to be one of these. The middle is then half the size of the picture where that
-//! lies next to the file, else what the poses and points say: the median difference between places and projections.
+//! VisualSFM itself also writes positions from the upper left corner, without stating it. A file in which no position
+//! is left of or above its origin is assumed to be one of these. The center is then half the size of the image if that
+//! is next to the file, otherwise it is estimated from poses and points: the median difference between positions and
+//! projections.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -35,16 +36,15 @@ use crate::scene::{CameraId, Image, ImageId, Reconstruction};
 /// First line of the file.
 pub const MAGIC: &str = "NVM_V3";
 
-/// Maximum error of the distortion that is written against the lens, pixels.
+/// Maximum error of the written distortion against the camera's, pixels.
 const MAX_FIT_ERROR_PX: f64 = 0.5;
 
 const FORMAT: &str = "the NVM format";
 
-/// Reads the first model of a file. Ids are places in the file plus one.
+/// Reads the first model of a file. Ids are indices in the file plus one.
 ///
 /// # Errors
-/// A missing file, a wrong field (with its place), a calibration that is given for all cameras, or a view that is not
-/// there.
+/// A missing file, an invalid field (with its position), a calibration shared by all cameras, or a missing view.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let text = Text::read_file(path)?;
     let mut words = text.words();
@@ -61,7 +61,7 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let mut points =
         (0..num_points).map(|_| Centered::read(&mut words, num_cameras, 1.0)).collect::<Result<Vec<_>, _>>()?;
     let sizes = sizes_of_files(path, &model);
-    let sizes = if count_from_the_corner(&points) { middled(&model, &mut points, sizes) } else { sizes };
+    let sizes = if count_from_the_corner(&points) { centered_positions(&model, &mut points, sizes) } else { sizes };
     set_picture_sizes(&mut model, &points, &sizes);
     add_points(path, &mut model, points)?;
     Ok(model)
@@ -69,14 +69,15 @@ pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
 
 /// Returns true if no position is left of or above the origin, as about half are that count from the center.
 fn count_from_the_corner(points: &[Centered]) -> bool {
-    // By chance so many lie right of and below the center in 1 of 2³² files.
-    const FEWEST: usize = 16;
+    // By chance so many are right of and below the center in 1 of 2³² files.
+    const MIN_OBSERVATIONS: usize = 16;
     let mut places = points.iter().flat_map(|point| &point.seen).map(|(_, place)| place);
-    points.iter().map(|point| point.seen.len()).sum::<usize>() >= FEWEST && places.all(|p| p.x >= 0.0 && p.y >= 0.0)
+    points.iter().map(|point| point.seen.len()).sum::<usize>() >= MIN_OBSERVATIONS
+        && places.all(|p| p.x >= 0.0 && p.y >= 0.0)
 }
 
-/// Moves places from the corner to the middle, and gives the sizes of all pictures.
-fn middled(model: &Reconstruction, points: &mut [Centered], mut sizes: Sizes) -> Sizes {
+/// Shifts positions from the corner to the center, and returns the sizes of all images.
+fn centered_positions(model: &Reconstruction, points: &mut [Centered], mut sizes: Sizes) -> Sizes {
     let mut differences: BTreeMap<ImageId, [Vec<f64>; 2]> = BTreeMap::new();
     for point in points.iter() {
         for (id, place) in &point.seen {
@@ -121,11 +122,11 @@ fn add_camera(words: &mut Words<'_>, index: u32, model: &mut Reconstruction) -> 
     Ok(())
 }
 
-/// Writes a reconstruction and says what the format has no place for.
+/// Writes a reconstruction and returns the losses of the format.
 ///
 /// # Errors
-/// A system error, a number that is not finite, two focal lengths, a lens that one measured-side term does not follow,
-/// or a name that is no word.
+/// A system error, a number that is not finite, two focal lengths, a distortion that one measured-side term cannot
+/// approximate, or a name that is not a word.
 pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_finite(path, model)?;
     check_lenses(path, model, FORMAT)?;
@@ -148,8 +149,8 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     Ok(if worst_px > 1e-9 { losses.with(fitted) } else { losses })
 }
 
-/// The r that comes nearest to a lens over the picture in the sense of least squares, and its largest error in pixels:
-/// minimise Σ ((1 + r |m|²) m − u)² over places u of a grid, which are seen at m.
+/// Least-squares r of a camera over the image, and its largest error in pixels: minimizes Σ ((1 + r |m|²) m − u)² over
+/// positions u of a grid, which are observed at m.
 fn measured_side(camera: &Camera) -> (f64, f64) {
     let [width, height] = [camera.width, camera.height].map(f64::from);
     let grid = |k: u32| f64::from(k % 21) / 20.0;
@@ -197,7 +198,7 @@ fn write_nvm(
         }
         writeln!(out)?;
     }
-    // No further model, and no clouds of points.
+    // End of the models and of the point clouds.
     writeln!(out, "\n0\n\n0")?;
     out.flush()
 }
@@ -218,11 +219,11 @@ mod tests {
     }
 
     #[test]
-    fn centres_and_distortion_of_the_measurement_take_our_conventions() {
+    fn centers_and_measured_distortion_are_converted_to_our_conventions() {
         let model = read_text(GOLDEN).unwrap();
         let image = &model.images[&ImageId(1)];
         assert_eq!((image.name.as_str(), image.cam_from_world.center()), ("a b.jpg", Point3::new(0.0, 0.0, -4.0)));
-        // m = (0.248, 0.496): undistorted (1 + 0.01 · 0.30752) m, which the camera must see at m again.
+        // m = (0.248, 0.496): undistorted (1 + 0.01 · 0.30752) m, which the camera must project to m.
         let camera = model.camera_of(image);
         let m = nalgebra::Vector2::new(0.248, 0.496);
         let back = camera.pixel_from_normalized(m * (1.0 + 0.01 * m.norm_squared()));
@@ -233,7 +234,7 @@ mod tests {
     }
 
     #[test]
-    fn a_model_comes_back() {
+    fn a_model_round_trips() {
         let lens = |values: &[f64]| Camera::prior(960, 540).with_parameters(values).unwrap();
         let model = model_with(&[lens(&[700.0, 700.0, 480.0, 270.0]), lens(&[710.0, 710.0, 480.0, 270.0])]);
         let folder = tempfile::tempdir().unwrap();
@@ -249,7 +250,7 @@ mod tests {
 
     /// Files of VisualSFM with positions from the corner, without a size.
     #[test]
-    fn places_from_the_corner_are_noticed() {
+    fn positions_from_the_corner_are_detected() {
         let lens = |f: f64, width| Camera { radial: [0.0; 2], ..Camera::with_focal(width, 540, f) };
         let model = model_with(&[lens(280.0, 960), lens(290.0, 1000)]);
         let mut cornered = model.clone();
@@ -262,7 +263,7 @@ mod tests {
             let (found, camera) = (found.cam_from_world, model.camera_of(image));
             assert!((found.center() - image.cam_from_world.center()).norm() < 1e-9, "{camera:?}");
         }
-        // Features lie up to half a pixel next to their projections.
+        // Features are up to half a pixel off their projections.
         let sizes: Vec<_> = found.images.values().map(|i| found.camera_of(i)).map(|c| (c.width, c.height)).collect();
         for ((width, height), expected) in sizes.iter().zip([960u32, 1000, 960, 1000]) {
             assert!(width.abs_diff(expected) < 2 && height.abs_diff(540) < 2, "{sizes:?}");
@@ -272,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn damage_is_said_with_its_place() {
+    fn damage_is_reported_with_its_position() {
         let says = |from: &str, to: &str| read_text(&GOLDEN.replace(from, to)).unwrap_err().to_string();
         assert!(says("NVM_V3", "NVM_V3 FixedK 1 2 3 4 0").contains("without a fixed calibration"));
         assert!(says("500 1 0", "500 0 0").contains("not a rotation"));

@@ -1,4 +1,4 @@
-//! Reading text files whose fields are separated by blanks and line ends alike, with errors that say where.
+//! Reading of text files whose fields are separated by blanks and line ends alike, with errors that name the position.
 
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -6,13 +6,13 @@ use std::str::FromStr;
 use crate::files;
 use crate::io::IoError;
 
-/// A text file in memory.
+/// Text file in memory.
 pub struct Text {
     path: PathBuf,
     content: String,
 }
 
-/// A place in it.
+/// Position in the text.
 pub struct Words<'a> {
     path: &'a Path,
     rest: &'a str,
@@ -41,14 +41,14 @@ impl Text {
         lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
     }
 
-    /// An error about a line.
+    /// Creates an error about a line.
     pub fn error(&self, line: usize, field: &str, problem: impl Into<String>) -> IoError {
         IoError::line(&self.path, line, field, problem)
     }
 }
 
 impl<'a> Words<'a> {
-    /// An error about the word read last.
+    /// Creates an error about the word read last.
     pub fn error(&self, field: &str, problem: impl Into<String>) -> IoError {
         IoError::line(self.path, self.line, field, problem)
     }
@@ -81,7 +81,7 @@ impl<'a> Words<'a> {
         Ok(values)
     }
 
-    /// A count of records of at least `min_bytes` each, which the rest of the file must have room for.
+    /// Reads a count of records of at least `min_bytes` each, bounded by the rest of the file.
     pub fn count(&mut self, field: &str, min_bytes: usize) -> Result<usize, IoError> {
         let count: usize = self.number(field)?;
         if count <= self.rest.len() / min_bytes {
@@ -91,7 +91,7 @@ impl<'a> Words<'a> {
             .error(field, format!("{count} entries do not fit in the rest of the file; it is truncated or damaged")))
     }
 
-    /// The rest of the line.
+    /// Returns the rest of the line.
     pub fn rest_of_line(&mut self) -> &'a str {
         let end = self.rest.find('\n').unwrap_or(self.rest.len());
         let (line, rest) = self.rest.split_at(end);

@@ -1,14 +1,14 @@
-//! Why the program does not write into a folder.
+//! Errors of the output folder.
 
 use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::io::IoError;
 
-/// Why the program does not write into a folder.
+/// Reason for not writing into a folder.
 #[derive(Debug, thiserror::Error)]
 pub enum FolderError {
-    /// Somebody else's.
+    /// Foreign folder.
     #[error(
         "{}: not empty and not made by {program} (contains {examples}); nothing was changed; give a new or empty \
          folder with --output",
@@ -17,12 +17,12 @@ pub enum FolderError {
     NotOwn {
         /// The folder.
         path: PathBuf,
-        /// Which command makes such folders.
+        /// Command that creates such folders.
         program: &'static str,
-        /// Some of what it holds.
+        /// Examples of its content.
         examples: String,
     },
-    /// Files of others where results belong.
+    /// Foreign files in places of results.
     #[error(
         "{}: {examples} would be overwritten; nothing was changed; move it away or give another --output",
         path.display()
@@ -30,7 +30,7 @@ pub enum FolderError {
     InTheWay {
         /// The folder.
         path: PathBuf,
-        /// Some of these files.
+        /// Examples of these files.
         examples: String,
     },
     /// A link inside the folder.
@@ -57,7 +57,7 @@ pub enum FolderError {
         /// The input whose results are there.
         input: PathBuf,
     },
-    /// Something that is to be read lies where results are written.
+    /// Input in a place of results.
     #[error(
         "{flag} {}: inside the output folder, where results are written; copy it elsewhere first, or give another \
          --output",
@@ -69,7 +69,7 @@ pub enum FolderError {
         /// The input.
         input: PathBuf,
     },
-    /// A single file that would lie among the results of a run.
+    /// Single file in a place of a run's results.
     #[error(
         "{}: inside the results folder {}; nothing was changed; give a path outside that folder",
         path.display(), folder.display()
@@ -80,7 +80,7 @@ pub enum FolderError {
         /// The folder of results.
         folder: PathBuf,
     },
-    /// A single file that is there.
+    /// Existing single file.
     #[error(
         "{}: exists; nothing was changed; give another name, or --overwrite to replace it",
         path.display()
@@ -89,13 +89,13 @@ pub enum FolderError {
         /// The file.
         path: PathBuf,
     },
-    /// Another process has the folder.
+    /// Another process uses the folder.
     #[error("{}: in use by another tractrix process; wait for it or give another --output", path.display())]
     Busy {
         /// The folder.
         path: PathBuf,
     },
-    /// The system refuses.
+    /// Error of the operating system.
     #[error("{}: not writable: {source}; {}", path.display(), cure(source))]
     System {
         /// The folder or file.
@@ -118,12 +118,12 @@ fn cure(error: &io::Error) -> &'static str {
 }
 
 impl FolderError {
-    /// For `map_err`: the system refuses the path.
+    /// For `map_err`: error of the operating system for the path.
     pub(super) fn system(path: &Path) -> impl Fn(io::Error) -> Self {
         move |source| Self::System { path: path.to_owned(), source }
     }
 
-    /// Returns true if waiting helps: another process has the folder.
+    /// Returns true if waiting helps: another process uses the folder.
     pub fn is_busy(&self) -> bool {
         matches!(self, Self::Busy { .. })
     }

@@ -9,30 +9,30 @@ use super::tree::is_link;
 use super::{FolderError, InputIdentity, PathRole, PathRoles, STATE, is_inside};
 use crate::files;
 
-/// Its name in the state folder.
+/// File name in the state folder.
 pub(super) const MANIFEST: &str = "manifest.json";
-/// The only version there is.
+/// Only version of the format.
 pub(super) const VERSION: u32 = 1;
 
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub(super) struct Manifest {
     pub(super) version: u32,
-    /// Which command writes into the folder.
+    /// Command that writes into the folder.
     pub(super) made_by: String,
     pub(super) input: Option<InputIdentity>,
-    /// Relative to the folder, without what lies in the state folder.
+    /// Relative to the folder, without the content of the state folder.
     pub(super) files: BTreeSet<PathBuf>,
 }
 
 impl Manifest {
-    /// Returns true if it has a known version, and names nothing outside the folder: others may have written it.
+    /// Returns true if it has a known version and names nothing outside the folder: other programs may have written it.
     fn is_sound(&self) -> bool {
         self.version == VERSION && self.files.iter().all(|file| is_inside(file))
     }
 }
 
-/// Reads the manifest of a folder, without names at which the program puts no file: the folder may be a stranger's, and
-/// what is listed can be removed.
+/// Reads the manifest of a folder, without names where the program never writes: the folder may be foreign, and listed
+/// files can be removed.
 pub(super) fn read_manifest(root: &Path, places: PathRoles) -> Result<Option<Manifest>, FolderError> {
     let state = root.join(STATE);
     for (path, name) in [(state.clone(), STATE.to_owned()), (state.join(MANIFEST), format!("{STATE}/{MANIFEST}"))] {
@@ -41,7 +41,7 @@ pub(super) fn read_manifest(root: &Path, places: PathRoles) -> Result<Option<Man
         }
     }
     let Ok(bytes) = files::read(&state.join(MANIFEST)) else { return Ok(None) };
-    // One that cannot be read says nothing: the folder is then nobody's, and left alone.
+    // An unreadable manifest is ignored: the folder then counts as foreign and is kept.
     let mut manifest = serde_json::from_slice::<Manifest>(&bytes).ok().filter(Manifest::is_sound);
     if let Some(manifest) = &mut manifest {
         manifest.files.retain(|file| places(file) == PathRole::File);

@@ -1,12 +1,12 @@
-//! A folder that the program writes into without touching anything that is not its own.
+//! Output folder in which the program changes only its own files.
 //!
-//! The program knows its own files by a manifest, `.tractrix/manifest.json`. It takes a folder only if that is new,
-//! empty or has such a manifest; it replaces and removes only files that the manifest lists; files that others put
-//! next to them stay. It never follows a link inside the folder. A file is listed before it is put in its place, so
-//! that a process that is killed leaves nothing that the next one does not know.
+//! The program identifies its own files by a manifest, `.tractrix/manifest.json`. It uses a folder only if that is new,
+//! empty or has such a manifest. It replaces and removes only files in the manifest; foreign files next to them are
+//! kept. It never follows a link inside the folder. A file is added to the manifest before it is moved to its place, so
+//! that a killed process leaves no unknown file.
 //!
-//! What is written is prepared in `.tractrix/tmp` and moved to its place whole. A folder of results is exchanged as one
-//! where all in it is the program's own, else file by file.
+//! Output is prepared in `.tractrix/tmp` and moved to its place as a whole. A folder of results is exchanged in one
+//! step if all its files are the program's own, otherwise file by file.
 
 mod error;
 mod manifest;
@@ -47,7 +47,7 @@ pub enum PathRole {
     Folder,
     /// Inside the folder that belongs to it alone.
     State,
-    /// Nothing: what is there is somebody else's.
+    /// No role: a foreign file.
     Elsewhere,
 }
 
@@ -57,13 +57,13 @@ pub type PathRoles = fn(&Path) -> PathRole;
 /// Identity of the input of a folder's results.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct InputIdentity {
-    /// Where it lay, for people and for reading it again.
+    /// Path of the input, for messages and for reading it again.
     pub path: PathBuf,
     /// Hash of its content.
     pub content: String,
 }
 
-/// A folder that this process has for itself.
+/// Folder locked by this process.
 #[derive(Debug)]
 pub struct OwnedFolder {
     root: PathBuf,
@@ -72,12 +72,12 @@ pub struct OwnedFolder {
 }
 
 impl OwnedFolder {
-    /// Looks whether a folder may be taken; changes nothing.
+    /// Checks that a folder may be used, without changing anything.
     ///
-    /// * `made_by` – the command that asks; a folder of another command's is not its own.
+    /// * `made_by` – the calling command; a folder of another command is not its own.
     ///
     /// # Errors
-    /// [`FolderError`] says what is in the way.
+    /// [`FolderError`] with the obstacle.
     pub fn inspect(path: &Path, made_by: &'static str, places: PathRoles) -> Result<(), FolderError> {
         let system = FolderError::system(path);
         match fs::metadata(path) {
@@ -98,20 +98,20 @@ impl OwnedFolder {
         }
     }
 
-    /// Makes the folder if need be and takes it, if [`Self::inspect`] has nothing against it.
+    /// Creates the folder if it is missing and locks it, after the checks of [`Self::inspect`].
     ///
     /// # Errors
-    /// [`FolderError`] says what is in the way.
+    /// [`FolderError`] with the obstacle.
     pub fn open(path: &Path, made_by: &'static str, places: PathRoles) -> Result<Self, FolderError> {
         Self::inspect(path, made_by, places)?;
         let system = FolderError::system(path);
         make(&path.join(STATE)).map_err(&system)?;
-        // A link to the folder itself is the user's way of naming it; below it no link is followed.
+        // A link to the folder itself is the user's name for it; below it no link is followed.
         let root = fs::canonicalize(path).map_err(&system)?;
         let lock = lock(&root, path)?;
         let manifest = read_manifest(&root, places)?.unwrap_or_default();
         let owned = Self { root, manifest: Mutex::new(manifest), _lock: lock };
-        // Again: somebody may have been faster than the lock.
+        // Checked again: another process may have come before the lock.
         Self::inspect(path, made_by, places)?;
         owned.tidy(made_by)?;
         Ok(owned)
@@ -127,14 +127,14 @@ impl OwnedFolder {
         manifest_of(path, made_by)?.input
     }
 
-    /// Returns true if a process uses a folder now. A process that asks for it in the same moment may be refused.
+    /// Returns true if a process uses a folder now. A process that locks it at the same moment may be refused.
     pub fn is_busy(path: &Path) -> bool {
         let lock = files::open(&path.join(STATE).join(LOCK));
         lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
     }
 
-    /// Forgets files that are no more, so that a later file of that name counts as somebody else's; clears what a
-    /// killed process left unfinished.
+    /// Drops missing files from the manifest, so that a later file of that name counts as foreign; removes unfinished
+    /// files of a killed process.
     fn tidy(&self, made_by: &str) -> Result<(), FolderError> {
         let scratch = self.root.join(STATE).join(SCRATCH);
         if scratch.exists() {
@@ -152,7 +152,7 @@ impl OwnedFolder {
         Ok(())
     }
 
-    /// The folder, without links.
+    /// Root of the folder, with links resolved.
     pub fn root(&self) -> &Path {
         &self.root
     }
@@ -162,8 +162,8 @@ impl OwnedFolder {
         self.manifest().input.clone()
     }
 
-    /// Says what the results are made from. Results of something else are only given up with `overwrite`, and then they
-    /// are removed, so that never results of two inputs stand side by side.
+    /// Records the input of the results. Results of another input are replaced only with `overwrite`; they are then
+    /// removed, so that results of two inputs never mix.
     ///
     /// # Errors
     /// [`FolderError::OtherInput`].
@@ -184,26 +184,26 @@ impl OwnedFolder {
         self.write_manifest(&manifest)
     }
 
-    /// A folder inside this one that is not its matter; it must be no link.
+    /// Path of a folder inside this one that it does not manage; it must not be a link.
     ///
     /// # Errors
     /// [`FolderError::Link`].
     pub fn subfolder(&self, name: &str) -> Result<PathBuf, FolderError> {
-        self.check_way(&self.relative(Path::new(name))?)?;
+        self.check_no_link(&self.relative(Path::new(name))?)?;
         Ok(self.root.join(name))
     }
 
-    /// Puts a file in its place, whole: `fill` writes to the given path.
+    /// Writes a file as a whole: `fill` writes to the given path.
     ///
     /// # Errors
-    /// What `fill` says; [`FolderError`] if something else is in that place.
+    /// The error of `fill`; [`FolderError`] if a foreign file is in that place.
     pub fn put_file<E: From<FolderError>>(
         &self,
         path: &Path,
         fill: impl FnOnce(&Path) -> Result<(), E>,
     ) -> Result<(), E> {
         let relative = self.relative(path)?;
-        self.check_way(&relative)?;
+        self.check_no_link(&relative)?;
         self.check_vacant(&relative)?;
         let scratch = self.scratch()?;
         let fresh = scratch.path().join(relative.file_name().unwrap_or_default());
@@ -214,7 +214,7 @@ impl OwnedFolder {
         Ok(())
     }
 
-    /// As [`Self::put_file`], of a text.
+    /// As [`Self::put_file`], for a text.
     ///
     /// # Errors
     /// As [`Self::put_file`].
@@ -222,7 +222,7 @@ impl OwnedFolder {
         self.put_file(Path::new(name), |fresh| Ok(atomic::write(fresh, text.as_bytes())?))
     }
 
-    /// As [`Self::put_file`], of a value as indented JSON.
+    /// As [`Self::put_file`], for a value as indented JSON.
     ///
     /// # Errors
     /// As [`Self::put_file`].
@@ -230,8 +230,8 @@ impl OwnedFolder {
         self.put_file(Path::new(name), |fresh| Ok(atomic::write_json(fresh, value)?))
     }
 
-    /// Puts a folder in its place, whole: `fill` gets an empty one. The program's own files that were there go; those
-    /// of others stay.
+    /// Writes a folder as a whole: `fill` gets an empty one. The program's own previous files are removed; foreign
+    /// files are kept.
     ///
     /// # Errors
     /// As [`Self::put_file`].
@@ -241,7 +241,7 @@ impl OwnedFolder {
         fill: impl FnOnce(&Path) -> Result<T, E>,
     ) -> Result<T, E> {
         let relative = self.relative(path)?;
-        self.check_way(&relative)?;
+        self.check_no_link(&relative)?;
         let scratch = self.scratch()?;
         let fresh = scratch.path().join("new");
         fs::create_dir(&fresh).map_err(IoError::system("create", &fresh)).map_err(FolderError::from)?;
@@ -271,8 +271,8 @@ impl OwnedFolder {
         self.prune(relative)
     }
 
-    /// Puts a new folder in the place of one in which all is the program's own. If the power fails in the short moment
-    /// between the two moves, there is no folder, but never half of one.
+    /// Replaces a folder in which all files are the program's own. A power failure in the short moment between the two
+    /// moves leaves no folder, but never half of one.
     fn exchange(&self, relative: &Path, fresh: &Path, aside: &Path) -> Result<(), FolderError> {
         let target = self.root.join(relative);
         self.make_parents(relative)?;
@@ -280,7 +280,7 @@ impl OwnedFolder {
             fs::rename(&target, aside).map_err(IoError::system("replace", &target))?;
         }
         fs::rename(fresh, &target).map_err(IoError::system("replace", &target))?;
-        // A file that somebody put there while this went on stays, too.
+        // A foreign file created in the meantime is kept, too.
         for file in
             files_below_if_any(aside)?.iter().filter(|file| !self.manifest().files.contains(&relative.join(file)))
         {
@@ -289,13 +289,13 @@ impl OwnedFolder {
         Ok(sync_folder(target.parent().unwrap_or(&self.root))?)
     }
 
-    /// Removes the program's own files at and below a path, and folders that are empty then.
+    /// Removes the program's own files at and below a path, and folders that become empty.
     ///
     /// # Errors
     /// [`FolderError`] if the system refuses.
     pub fn remove(&self, path: &Path) -> Result<(), FolderError> {
         let relative = self.relative(path)?;
-        self.check_way(&relative)?;
+        self.check_no_link(&relative)?;
         let own = self.own_below(&relative);
         self.remove_files(own.iter())?;
         self.prune(&relative)
@@ -304,8 +304,8 @@ impl OwnedFolder {
     fn remove_files<'a>(&self, files: impl Iterator<Item = &'a PathBuf>) -> Result<(), FolderError> {
         let mut gone = BTreeSet::new();
         for file in files {
-            // A link above the file would lead to somebody else's file of that name.
-            self.check_way(file.parent().unwrap_or(Path::new("")))?;
+            // A link above the file would lead to a foreign file of that name.
+            self.check_no_link(file.parent().unwrap_or(Path::new("")))?;
             let path = self.root.join(file);
             match fs::remove_file(&path) {
                 Err(error) if !is_absent(&error) => return Err(IoError::system("remove", &path)(error).into()),
@@ -315,7 +315,7 @@ impl OwnedFolder {
         if gone.is_empty() {
             return Ok(());
         }
-        // A file that came back after a power failure must still be listed.
+        // A file that reappears after a power failure must still be in the manifest.
         let folders: BTreeSet<PathBuf> = gone.iter().filter_map(|file| Some(self.root.join(file.parent()?))).collect();
         folders.iter().filter(|folder| folder.is_dir()).try_for_each(|folder| sync_folder(folder))?;
         let mut manifest = self.manifest();
@@ -323,14 +323,14 @@ impl OwnedFolder {
         self.write_manifest(&manifest)
     }
 
-    /// Removes folders at and below a path that hold nothing; never the folder itself.
+    /// Removes empty folders at and below a path, except the root.
     fn prune(&self, relative: &Path) -> Result<(), FolderError> {
         let top = self.root.join(relative);
         if relative == Path::new("") || !is_real_folder(&top) {
             return Ok(());
         }
         for folder in folders_below(&top)?.into_iter().rev().chain([top]) {
-            // Refused where it is not empty, as it should be.
+            // Fails if it is not empty, as intended.
             if fs::remove_dir(&folder).is_ok() {
                 sync_folder(folder.parent().unwrap_or(&self.root))?;
             }
@@ -353,7 +353,7 @@ impl OwnedFolder {
         self.manifest().files.iter().filter(|file| file.starts_with(relative)).cloned().collect()
     }
 
-    /// That nobody else's file is at a path.
+    /// Checks that no foreign file is at a path.
     fn check_vacant(&self, relative: &Path) -> Result<(), FolderError> {
         let path = self.root.join(relative);
         match fs::symlink_metadata(&path) {
@@ -365,10 +365,10 @@ impl OwnedFolder {
         }
     }
 
-    /// That no link leads from the folder to a path in it.
-    fn check_way(&self, relative: &Path) -> Result<(), FolderError> {
-        let mut ways = relative.ancestors().filter(|above| !above.as_os_str().is_empty());
-        ways.find(|above| is_link(&self.root.join(above))).map_or(Ok(()), |above| Err(self.link(above)))
+    /// Checks that no component of a path inside the folder is a link.
+    fn check_no_link(&self, relative: &Path) -> Result<(), FolderError> {
+        let mut ancestors = relative.ancestors().filter(|above| !above.as_os_str().is_empty());
+        ancestors.find(|above| is_link(&self.root.join(above))).map_or(Ok(()), |above| Err(self.link(above)))
     }
 
     fn link(&self, relative: &Path) -> FolderError {
@@ -383,7 +383,7 @@ impl OwnedFolder {
     }
 
     fn make_parents(&self, relative: &Path) -> Result<(), FolderError> {
-        self.check_way(relative)?;
+        self.check_no_link(relative)?;
         let target = self.root.join(relative);
         let folder = target.parent().unwrap_or(&self.root);
         Ok(atomic::create_folders(folder)?)
@@ -391,7 +391,7 @@ impl OwnedFolder {
 
     fn scratch(&self) -> Result<TempDir, FolderError> {
         let folder = self.root.join(STATE).join(SCRATCH);
-        self.check_way(&Path::new(STATE).join(SCRATCH))?;
+        self.check_no_link(&Path::new(STATE).join(SCRATCH))?;
         let made = fs::create_dir_all(&folder);
         let made = made.and_then(|()| Builder::new().prefix(atomic::UNPLACED).tempdir_in(&folder));
         made.map_err(FolderError::system(&folder))
@@ -420,7 +420,7 @@ fn manifest_of(path: &Path, made_by: &str) -> Option<Manifest> {
     found.filter(|manifest| manifest.made_by == made_by)
 }
 
-/// Makes a folder and those above it.
+/// Creates a folder and its parents.
 fn make(folder: &Path) -> io::Result<()> {
     atomic::create_folders(folder).map_err(|error| match error {
         IoError::System { source, .. } => source,

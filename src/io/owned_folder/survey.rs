@@ -1,4 +1,4 @@
-//! Checks whether a folder may be taken, and whether an input lies in it; nothing is changed here.
+//! Checks of a folder before its use, and of inputs inside it; read-only.
 
 use std::fs;
 use std::io;
@@ -9,14 +9,14 @@ use super::tree::{is_link, is_real_folder};
 use super::{FolderError, LOCK, OwnedFolder, PathRole, PathRoles, STATE};
 use crate::io::{ExportFolder, RunFolder, atomic};
 
-/// Refuses an input that lies where the program writes in the folder `output`, whatever links and `..` say.
+/// Refuses an input in a place where the program writes in the folder `output`, with links and `..` resolved.
 ///
-/// * `flag` – how the input was named on the command line.
+/// * `flag` – the input's flag on the command line.
 ///
 /// # Errors
 /// [`FolderError::OwnInput`].
 pub fn refuse_own_input(output: &Path, places: PathRoles, flag: &str, input: &Path) -> Result<(), FolderError> {
-    // What is not there cannot be written over; who reads it says that it is missing.
+    // A missing file cannot be overwritten; its reader reports that it is missing.
     let (Ok(output), Ok(real)) = (fs::canonicalize(output), fs::canonicalize(input)) else { return Ok(()) };
     let is_own = |real: &Path| real.strip_prefix(&output).is_ok_and(|inside| places(inside) != PathRole::Elsewhere);
     let entries = fs::read_dir(&real).into_iter().flatten().flatten();
@@ -27,8 +27,7 @@ pub fn refuse_own_input(output: &Path, places: PathRoles, flag: &str, input: &Pa
     }
 }
 
-/// Refuses a file that is to be written where a run or an export has its results: the next one would find a stranger's
-/// file there.
+/// Refuses a file in a place for results of a run or an export: the next one would find a foreign file there.
 ///
 /// # Errors
 /// [`FolderError::PlaceOfResults`].
@@ -53,7 +52,7 @@ pub fn refuse_place_of_results(file: &Path) -> Result<(), FolderError> {
     Ok(())
 }
 
-/// Looks through an own folder for what is not its own and stands where it writes.
+/// Searches an own folder for foreign files in the places of results.
 pub(super) struct Survey<'a> {
     pub(super) root: &'a Path,
     pub(super) manifest: &'a Manifest,
@@ -63,14 +62,14 @@ pub(super) struct Survey<'a> {
 impl Survey<'_> {
     pub(super) fn run(&self) -> Result<(), FolderError> {
         let mut foreign = Vec::new();
-        self.look(Path::new(""), &mut foreign)?;
+        self.visit(Path::new(""), &mut foreign)?;
         match foreign.is_empty() {
             true => Ok(()),
             false => Err(FolderError::InTheWay { path: self.root.to_owned(), examples: some_of(&foreign) }),
         }
     }
 
-    fn look(&self, below: &Path, foreign: &mut Vec<String>) -> Result<(), FolderError> {
+    fn visit(&self, below: &Path, foreign: &mut Vec<String>) -> Result<(), FolderError> {
         let folder = self.root.join(below);
         let system = FolderError::system(&folder);
         for entry in fs::read_dir(&folder).map_err(&system)? {
@@ -85,7 +84,7 @@ impl Survey<'_> {
                     foreign.push(relative.display().to_string());
                 }
                 PathRole::Folder if !kind.is_dir() => foreign.push(relative.display().to_string()),
-                PathRole::Folder | PathRole::State if kind.is_dir() => self.look(&relative, foreign)?,
+                PathRole::Folder | PathRole::State if kind.is_dir() => self.visit(&relative, foreign)?,
                 _ => {}
             }
         }
@@ -93,7 +92,7 @@ impl Survey<'_> {
     }
 }
 
-/// A folder without a manifest has to be empty, but for what a process leaves that is killed as it begins.
+/// Checks that a folder without a manifest is empty, except for the leftovers of a process killed at its start.
 pub(super) fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<(), FolderError> {
     let system = FolderError::system(path);
     let names = |folder: &Path| -> io::Result<Vec<String>> {
@@ -115,7 +114,7 @@ pub(super) fn is_as_good_as_empty(path: &Path, made_by: &'static str) -> Result<
 }
 
 fn some_of(names: &[String]) -> String {
-    // Names in a message.
+    // Maximum number of names in a message.
     const SHOWN: usize = 3;
     let shown = names.iter().take(SHOWN).cloned().collect::<Vec<_>>().join(", ");
     match names.len().saturating_sub(SHOWN) {

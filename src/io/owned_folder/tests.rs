@@ -28,7 +28,7 @@ fn page(folder: &OwnedFolder, text: &str) -> Result<(), FolderError> {
     folder.put_file(Path::new("page.html"), |fresh| Ok::<_, FolderError>(atomic::write(fresh, text.as_bytes())?))
 }
 
-/// Every file and link with its content, the program's own state aside.
+/// Every file and link with its content, except the program's own state.
 fn snapshot(root: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
     let outside_state = |file: &PathBuf| !file.starts_with(STATE);
     let content = |file: PathBuf| {
@@ -45,7 +45,7 @@ fn names(root: &Path) -> Vec<String> {
 }
 
 #[test]
-fn a_folder_is_taken_if_it_is_new_empty_or_its_own() {
+fn a_folder_is_accepted_if_it_is_new_empty_or_its_own() {
     let place = tempfile::tempdir().unwrap();
     for path in [place.path().join("new"), place.path().to_owned()] {
         page(&open(&path).unwrap(), "one").unwrap();
@@ -57,7 +57,7 @@ fn a_folder_is_taken_if_it_is_new_empty_or_its_own() {
 }
 
 #[test]
-fn a_folder_of_others_is_left_as_it_is() {
+fn a_foreign_folder_is_unchanged() {
     let folder = tempfile::tempdir().unwrap();
     for (name, content) in [("thesis.tex", "x"), ("results/a", "mine"), (".tractrix/notes", "mine")] {
         let root = folder.path().join("one");
@@ -69,21 +69,21 @@ fn a_folder_of_others_is_left_as_it_is() {
         assert_eq!(files_below(&root).unwrap(), before);
         fs::remove_dir_all(root).unwrap();
     }
-    // What another command made is not its own either.
+    // A folder of another command is not its own either.
     OwnedFolder::open(&folder.path().join("other"), "another", place).unwrap();
     atomic::write(&folder.path().join("other/page.html"), b"x").unwrap();
     assert!(matches!(open(&folder.path().join("other")), Err(FolderError::NotOwn { .. })));
 }
 
 #[test]
-fn a_process_that_was_killed_as_it_began_leaves_no_strangers_folder() {
+fn a_process_killed_at_its_start_leaves_no_foreign_folder() {
     let folder = tempfile::tempdir().unwrap();
     atomic::write(&folder.path().join(".tractrix/lock"), b"").unwrap();
     assert!(open(folder.path()).is_ok());
 }
 
 #[test]
-fn files_of_others_stay_beside_results_that_are_replaced() {
+fn foreign_files_are_kept_next_to_replaced_results() {
     let folder = tempfile::tempdir().unwrap();
     let owned = open(folder.path()).unwrap();
     results(&owned, &["a", "b"]).unwrap();
@@ -106,7 +106,7 @@ fn files_of_others_stay_beside_results_that_are_replaced() {
 }
 
 #[test]
-fn what_stands_where_results_belong_is_refused_and_named() {
+fn foreign_files_in_places_of_results_are_refused_and_named() {
     let folder = tempfile::tempdir().unwrap();
     drop(open(folder.path()).unwrap());
     for name in ["page.html", "results/b", "results/a/inside"] {
@@ -119,7 +119,7 @@ fn what_stands_where_results_belong_is_refused_and_named() {
         fs::remove_dir_all(folder.path().join("results")).ok();
         fs::remove_file(folder.path().join("page.html")).ok();
     }
-    // Also while the program is at work.
+    // Also while the program is running.
     let owned = open(folder.path()).unwrap();
     atomic::write(&folder.path().join("results/b"), b"theirs").unwrap();
     let before = snapshot(folder.path());
@@ -169,7 +169,7 @@ fn links_are_never_followed() {
         fs::remove_dir_all(folder.path()).unwrap();
         fs::create_dir(folder.path()).unwrap();
     }
-    // Planted while the program is at work.
+    // Created while the program is running.
     let owned = open(folder.path()).unwrap();
     plant("sequence", elsewhere.path());
     assert!(matches!(owned.subfolder("sequence"), Err(FolderError::Link { .. })));
@@ -179,7 +179,7 @@ fn links_are_never_followed() {
     plant("results", elsewhere.path());
     assert!(matches!(results(&owned, &["b"]), Err(FolderError::Link { .. })));
     assert!(matches!(owned.remove(Path::new("results")), Err(FolderError::Link { .. })));
-    // Its own file by name, somebody else's behind the link.
+    // Its own file by name, a foreign file behind the link.
     atomic::write(&elsewhere.path().join("a"), b"precious").unwrap();
     let untouched = snapshot(elsewhere.path());
     let another = InputIdentity { path: "two.mp4".into(), content: "two".into() };
@@ -191,7 +191,7 @@ fn links_are_never_followed() {
 }
 
 #[test]
-fn a_manifest_that_names_files_outside_is_not_believed() {
+fn a_manifest_that_names_files_outside_is_ignored() {
     let place = tempfile::tempdir().unwrap();
     let (folder, precious) = (place.path().join("out"), place.path().join("precious"));
     atomic::write(&precious, b"precious").unwrap();
@@ -218,7 +218,7 @@ fn the_folder_itself_may_be_named_by_a_link() {
 }
 
 #[test]
-fn results_of_another_input_are_kept_unless_told_otherwise() {
+fn results_of_another_input_are_kept_without_overwrite() {
     let folder = tempfile::tempdir().unwrap();
     let input = |name: &str| InputIdentity { path: name.into(), content: name.into() };
     let owned = open(folder.path()).unwrap();
@@ -269,7 +269,7 @@ fn inputs_in_the_places_of_results_are_refused() {
 }
 
 #[test]
-fn a_result_that_cannot_be_made_leaves_the_old_one() {
+fn a_failed_result_leaves_the_old_one() {
     let folder = tempfile::tempdir().unwrap();
     let owned = open(folder.path()).unwrap();
     results(&owned, &["a"]).unwrap();
@@ -295,7 +295,7 @@ fn a_pipe_in_the_place_of_the_lock_is_refused_at_once() {
 }
 
 #[test]
-fn a_manifest_of_other_hands_removes_nothing_of_theirs() {
+fn a_forged_manifest_removes_no_foreign_files() {
     let folder = tempfile::tempdir().unwrap();
     let input = |name: &str| InputIdentity { path: name.into(), content: name.into() };
     let owned = open(folder.path()).unwrap();

@@ -26,7 +26,7 @@ pub(super) fn files_below_if_any(folder: &Path) -> Result<Vec<PathBuf>, FolderEr
     if is_real_folder(folder) { files_below(folder) } else { Ok(Vec::new()) }
 }
 
-/// Folders below a folder, those above before those below.
+/// Folders below a folder, parents before their children.
 pub(super) fn folders_below(folder: &Path) -> Result<Vec<PathBuf>, FolderError> {
     let mut found = Vec::new();
     let mut open = vec![folder.to_owned()];

@@ -1,4 +1,4 @@
-//! A map in the frame of the last one, and the frames that are no keyframes in the map.
+//! Alignment of a map with the last one, and registration of the frames that are not keyframes.
 
 use nalgebra::Point3;
 
@@ -8,7 +8,7 @@ use crate::scene::{Point3d, Reconstruction};
 
 /// Fewest points that two maps must share to be aligned.
 const MIN_SHARED: usize = 20;
-/// Number of points, of those that two maps share, that count as independent: errors of neighbors are alike.
+/// Effective number of independent points among those that two maps share: errors of neighbors are correlated.
 const INDEPENDENT: f64 = 20.0;
 
 impl Mapper {
@@ -39,7 +39,7 @@ fn alignment(model: &Reconstruction, last: &Reconstruction) -> Option<(Sim3, f64
     };
     let mut pairs: Vec<(Point3<f64>, Point3<f64>)> = model.points.values().filter_map(shared).collect();
     let mut found = None;
-    // Points far away have large errors: those within three times the median residual decide.
+    // Points far away have large errors: only those within three times the median residual are used.
     for _ in 0..4 {
         if pairs.len() < MIN_SHARED {
             return None;

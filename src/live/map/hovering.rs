@@ -1,5 +1,5 @@
-//! Maps of a camera that does not translate: on the ground of the map before, or in a frame of its own, whose ground
-//! all sources together show (`ground::hovering`).
+//! Maps of a camera that does not translate: on the ground of the previous map, or in a frame of its own, with the
+//! ground estimated from all sources (`ground::hovering`).
 
 use std::sync::Arc;
 
@@ -14,11 +14,11 @@ use crate::math::Rigid3;
 use crate::pipeline::{Station, camera_by_map_points, on_map_points, stated_tilts};
 use crate::scene::Reconstruction;
 
-/// Error of tilt and focal length that is not improved further, radians: the slope of a street is as much.
+/// Error of tilt and focal length below which the frame is not replaced, radians: the typical slope of a street.
 const GOOD: f64 = 0.02;
-/// Angle by which a camera has turned away from its first view, radians: as precise as an inclination is stated.
+/// Rotation from the first view above which a camera has turned, radians: the precision of a stated inclination.
 const TURNED: f64 = 0.0175;
-/// Share of the error to which it must improve to begin a new frame: every change moves all positions.
+/// Maximum ratio of the new error to the old one to begin a new frame: every change moves all positions.
 const BETTER: f64 = 0.5;
 
 /// A camera that does not translate, in a frame of its own.
@@ -61,7 +61,7 @@ impl Mapper {
             && let Ok(better) = self.hover(snapshot, table)
             && better.error() < BETTER * error
         {
-            return Some(self.take_up(better));
+            return Some(self.begin_own_frame(better));
         }
         self.on_ground(snapshot, table, rotations, ground)
     }
@@ -97,7 +97,7 @@ impl Mapper {
             return Ok(found);
         }
         let found = self.hover(snapshot, table)?;
-        Ok(self.take_up(found))
+        Ok(self.begin_own_frame(found))
     }
 
     /// The camera as one that does not translate, in a frame of its own.
@@ -105,10 +105,10 @@ impl Mapper {
         let is_first = self.first == snapshot.frames.first().map(|frame| frame.id);
         let mut metric = self.options.metric.clone();
         if self.has_turned && !is_first {
-            // They say nothing of the views of this window.
+            // They do not refer to the views of this window.
             (metric.camera_pitch, metric.map_points) = (None, None);
         }
-        // The same points of the map are no new evidence.
+        // The same points of the map are not independent evidence.
         let before = self.hovering.as_ref().map_or(self.known.focal, |hovering| hovering.focal_std_before);
         let (camera, focal_std) = camera_by_map_points(&metric, table, &self.camera, before);
         let found = mapper::hovering_camera(table, &camera, focal_std, &snapshot.lines);
@@ -119,7 +119,7 @@ impl Mapper {
         let station = log.and_then(|log| log.station(&poses, &snapshot.frames, &metric).ok());
         let vertical = station.as_ref().and_then(Station::vertical);
         let tilts = stated_tilts(&poses, &metric, by_lines.as_ref(), vertical, on_map.as_ref());
-        // Where vehicles that stand point to is unknown.
+        // The heading of stationary vehicles is unknown.
         let vehicles: Vec<_> = snapshot.vehicles.iter().filter(|seen| on_plane::moves(seen, &poses)).cloned().collect();
         let ground = hovering_ground(&poses, &vehicles, tilts, focal_std).ok_or(NoMap::Inclination)?;
         let model = on_plane::model(table, &camera, &rotations.poses, &ground, None);
@@ -132,7 +132,7 @@ impl Mapper {
         Ok(Hover { model, focal_std, ground, on_map })
     }
 
-    /// Notes whether the camera looks elsewhere than in the first frame.
+    /// Records a rotation of the camera away from its first view.
     pub(super) fn note_turns(&mut self, model: &Reconstruction) {
         let mut rotations = model.images.values().map(|image| image.cam_from_world.rotation);
         let Some(first) = self.held.rotation.or_else(|| rotations.next()) else { return };
@@ -140,8 +140,8 @@ impl Mapper {
         self.has_turned |= rotations.any(|rotation| rotation.angle_to(&first) > TURNED);
     }
 
-    /// Begins the frame of a camera that does not translate.
-    fn take_up(&mut self, found: Hover) -> Found {
+    /// Begins a new local frame for a camera that does not translate.
+    fn begin_own_frame(&mut self, found: Hover) -> Found {
         let error = found.error();
         let Hover { model, focal_std, ground, on_map } = found;
         self.restart();

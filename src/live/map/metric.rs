@@ -6,8 +6,8 @@ use crate::ground::camera_height;
 use crate::metric::{Fused, Gravity, Kind, Level, Measured, Source, frame_on_ground, fuse};
 use crate::scene::{Frame, MetricFrame, Reconstruction};
 
-/// Time from the first map on over which the camera's height is measured, seconds. Then the meters are held: a local
-/// frame whose unit changes as the camera climbs would be of no use.
+/// Time from the first map on over which the camera's height is measured, seconds. Then the scale is fixed: a local
+/// frame with a unit that changes as the camera climbs would be useless.
 const HEIGHT_S: f64 = 3.0;
 /// Distance from camera to ground that a unit of a frame without meters represents; as in the stage `metric`.
 const NOMINAL_HEIGHT_M: f64 = 10.0;

@@ -1,8 +1,8 @@
 //! The map of the window: the batch mapper on its keyframes, in the frame of the maps before.
 //!
 //! Every update reconstructs the keyframes of the window from their tracks, starting from the poses of the last map.
-//! Points that both maps have align the new one with the last (Umeyama). Nothing else is carried over, so that memory
-//! and time do not grow; what is lost is that the standard deviation of lengths grows with every alignment.
+//! Common points align the new map with the last (Umeyama). Nothing else is kept, so that memory and time do not grow;
+//! the cost is that the standard deviation of lengths grows with every alignment.
 
 mod alignment;
 mod hovering;
@@ -38,9 +38,9 @@ use hovering::Hovering;
 pub(super) const MIN_KEYFRAMES: usize = 6;
 /// Fewest points of a map.
 const MIN_POINTS: usize = 60;
-/// Share of the tracks that must become points: of a wrong map hardly any do.
+/// Minimum share of triangulated tracks: in a wrong map hardly any are.
 const MIN_TRIANGULATED: f64 = 0.3;
-/// Share of its keyframes that a map must register.
+/// Minimum share of registered keyframes of a map.
 const MIN_REGISTERED: f64 = 0.7;
 /// Views that must show a point: keyframes are far apart, and of two every match is consistent.
 pub(super) const MIN_TRACK: usize = 3;
@@ -83,18 +83,18 @@ pub(super) enum NoMap {
         /// Fewest points.
         needed: usize,
     },
-    /// The camera does not translate, and nothing shows how it looks down.
+    /// The camera does not translate, and its inclination is undetermined.
     #[error(
         "camera does not translate, and its inclination is unknown; give --camera-pitch, --map-points or telemetry \
          with gimbal angles, or fly sideways or forward"
     )]
     Inclination,
-    /// Points of a map do not place the camera.
+    /// Points of a map do not determine the camera's pose.
     #[error("{0}")]
     MapPoints(String),
 }
 
-/// A map, and what is derived from it.
+/// A map, and data derived from it.
 pub(super) struct WorldMap {
     pub(super) revision: u32,
     /// Keyframes and all other frames of the window that could be registered.
@@ -110,7 +110,7 @@ pub(super) struct WorldMap {
     /// Meters, or lengths of an arbitrary unit.
     pub(super) frame: MetricFrame,
     pub(super) is_metric: bool,
-    /// Latitude and longitude, where telemetry gives them.
+    /// Latitude and longitude, if known.
     pub(super) georeference: Option<Arc<Georeference>>,
     /// Time of the last frame, seconds.
     pub(super) time_s: f64,
@@ -135,7 +135,7 @@ impl WorldMap {
         }
     }
 
-    /// Returns true for a camera that does not translate: vehicles are followed on the ground, without a model.
+    /// Returns true for a camera that does not translate: vehicles are tracked on the ground, without a model.
     pub(super) fn hovers(&self) -> bool {
         self.ground.hovering.is_some()
     }
@@ -192,18 +192,18 @@ struct Found {
     is_continued: bool,
 }
 
-/// State that is held from the first map of a local frame on.
+/// State fixed from the first map of a local frame on.
 #[derive(Default)]
 struct Held {
     /// The vertical and origin.
     level: Option<Level>,
-    /// Height of the camera above the ground in the first maps, units: the mean, and of how many.
+    /// Height of the camera above the ground in the first maps, units: the mean, and the number of maps.
     height: Option<(Measured, f64)>,
-    /// Meters per unit where nothing gives them.
+    /// Nominal meters per unit, without a source of scale.
     nominal: Option<f64>,
     /// Variance of the logarithm of lengths by the alignments so far.
     drift: f64,
-    /// By points of a map.
+    /// Georeference by points of a map.
     on_map: Option<Arc<Georeference>>,
     /// The dominant plane of the last map of a camera that moved.
     plane: Option<HoveringGround>,
@@ -211,7 +211,7 @@ struct Held {
     rotation: Option<UnitQuaternion<f64>>,
 }
 
-/// Makes one map after the other.
+/// Mapper of consecutive windows.
 pub(super) struct Mapper {
     options: Options,
     camera: Camera,
@@ -253,7 +253,7 @@ impl Mapper {
         }
     }
 
-    /// Makes the map of a window, or tells why its frames do not give one.
+    /// Makes the map of a window, or returns the reason why its frames do not give one.
     ///
     /// # Errors
     /// [`PipelineError::Mapper`], which would be a bug.
@@ -357,7 +357,7 @@ impl Mapper {
         }
     }
 
-    /// The keyframes by the batch mapper, or why they give no map.
+    /// Reconstructs the keyframes by the batch mapper, or returns the reason why they give no map.
     fn of_keyframes(
         &self,
         snapshot: &Snapshot,
@@ -371,7 +371,7 @@ impl Mapper {
         let poses: Vec<Option<Rigid3>> = keys.iter().map(pose).collect();
         let priors = self.last.as_ref().map(|_| PosePriors { poses, error_px: PRIOR_PX });
         let found = self.of_table(&table, priors.as_ref())?;
-        // The last map may be wrong: its poses would spoil all that follow.
+        // The last map may be wrong: its poses would corrupt all following maps.
         if priors.is_some() && found.is_err() { self.of_table(&table, None) } else { Ok(found) }
     }
 
@@ -401,8 +401,8 @@ impl Mapper {
         (self.known.focal > 0.0).then_some(self.known.focal)
     }
 
-    /// A map with points that keyframes alone do not show, from the poses that it has: those near the camera are seen
-    /// for less than a second, and local ground planes rest on them.
+    /// Triangulates points that keyframes alone do not determine, from the map's poses: those near the camera are
+    /// observed for less than a second, and local ground planes depend on them.
     fn with_more_points(
         &self,
         model: Reconstruction,

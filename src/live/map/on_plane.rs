@@ -1,8 +1,9 @@
 //! The map of a camera that does not translate: points of the background on the plane of the ground.
 //!
-//! Such a window shows no depth. But where the plane of the ground is known (`ground::hovering`), every ray that meets
-//! it gives a point, and the points make a map like any other: frames are registered in it by resection, which includes
-//! the sway of the camera. What stands above the ground moves against the plane when the camera sways, and is left out.
+//! Such a window has no parallax. But where the plane of the ground is known (`ground::hovering`), every ray that
+//! intersects it gives a point, and the points form an ordinary map: frames are registered in it by resection, which
+//! includes the sway of the camera. Points above the ground have parallax against the plane when the camera sways, and
+//! are rejected.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,9 +21,9 @@ use crate::mapper::RotatingCamera;
 use crate::math::Rigid3;
 use crate::scene::{FrameId, Observation, Point3d, Point3dId, Reconstruction, Rect, TrackElement};
 
-/// The views that a map is made of, with their tracks.
+/// Views of a map, with their tracks.
 pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
-    // The window also has old keyframes, of a flight before.
+    // The window also has old keyframes, of an earlier flight.
     let since_s = snapshot.frames.last().map_or(0.0, |frame| frame.time_s) - WINDOW_S - SPARE_S;
     let recent: Vec<usize> = (0..snapshot.frames.len()).filter(|&k| snapshot.frames[k].time_s >= since_s).collect();
     let has_lines = |k: &usize| snapshot.lines.iter().any(|lines| lines.image.frame() == snapshot.frames[*k].id);
@@ -32,7 +33,7 @@ pub(super) fn views(snapshot: &Snapshot) -> TrackTable {
     sub_table(&snapshot.table, &chosen, MIN_TRACK)
 }
 
-/// Poses of all views that have a rotation: those without a pose get that of the nearest view with one, turned.
+/// Poses of all views with a rotation: those without a pose get the position of the nearest view with one.
 ///
 /// * `known` – by view, of the last map.
 pub(super) fn completed(known: &[Option<Rigid3>], rotations: &RotatingCamera) -> Vec<Option<Rigid3>> {
@@ -51,7 +52,7 @@ pub(super) fn completed(known: &[Option<Rigid3>], rotations: &RotatingCamera) ->
     known.iter().copied().zip(completed).map(|(pose, turned)| pose.or(turned)).collect()
 }
 
-/// Returns true if a vehicle leaves its place: the ray to it turns by more than its extent.
+/// Returns true if a vehicle moves: the ray to it turns by more than its extent.
 ///
 /// * `poses` – rotations of the camera.
 pub(super) fn moves(seen: &BTreeMap<FrameId, Rect>, poses: &Reconstruction) -> bool {
@@ -145,7 +146,7 @@ fn mean(points: impl Iterator<Item = Point3<f64>>) -> Option<Point3<f64>> {
     (count > 0).then(|| Point3::from(sum / count as f64))
 }
 
-/// Registers the images in the points, their sway included.
+/// Registers the images by resection, including their sway.
 fn resect(model: &mut Reconstruction, camera: &Camera) {
     let Reconstruction { images, points, .. } = model;
     for image in images.values_mut() {
@@ -159,7 +160,7 @@ fn resect(model: &mut Reconstruction, camera: &Camera) {
     }
 }
 
-/// Drops the points that do not move as the plane does.
+/// Drops the points that do not follow the motion of the plane.
 fn remove_off_plane_points(model: &mut Reconstruction, camera: &Camera) {
     let images = &model.images;
     let error_px = |point: &Point3d| {

@@ -96,7 +96,7 @@ fn window(table: &TrackTable, views: std::ops::Range<usize>, maps: &[&WorldMap])
     Snapshot { table, frames, is_key, poses, vehicles: Vec::new(), lines: Vec::new(), purpose: Purpose::Revision }
 }
 
-/// A camera 40 m above a plane looks down by 90° minus 0.5.
+/// A camera 40 m above a plane with an inclination of 90° minus 0.5.
 const HEIGHT_M: f64 = 40.0;
 
 fn mapper_of(camera: Camera, pitch_std: Option<f64>) -> Mapper {

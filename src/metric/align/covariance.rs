@@ -1,12 +1,12 @@
-//! The covariance of a receiver's errors along one axis: wander and noise.
+//! Covariance of a receiver's errors along one axis: correlated and independent noise.
 //!
 //! `C_jk = w_j w_k exp(−|τ_j − τ_k| / T) + d_j δ_jk` (docs/maths/metric.md, eq. 2).
 
 use nalgebra::{Cholesky, DMatrix, DVector, Dyn};
 
-/// Time in which a receiver's bias forgets itself, seconds. Measured correlation times of single receivers go from one
-/// minute (reflections, at a moving receiver) to an hour (air); the shorter ones make fixes of a short video drift
-/// apart more, and are the careful choice.
+/// Correlation time of a receiver's bias, seconds. Measured correlation times of single receivers range from one
+/// minute (multipath, moving receiver) to an hour (atmosphere). The shorter ones let the fixes of a short video drift
+/// more, and are the conservative choice.
 pub(in crate::metric) const WANDER_TIME_S: f64 = 120.0;
 
 /// Covariance of the errors of groups, factorised.
@@ -17,8 +17,8 @@ pub(super) struct Errors {
 }
 
 impl Errors {
-    /// Of groups at these times with these deviations of the wander and variances of the noise. `None` if the matrix
-    /// has no factor, which takes values that are not finite.
+    /// Covariance of groups at these times with these standard deviations of the correlated noise and variances of the
+    /// independent noise. `None` if the factorisation fails, which requires values that are not finite.
     pub(super) fn new(times_s: &[f64], wander_m: &[f64], noise: DVector<f64>) -> Option<Self> {
         let covariance = DMatrix::from_fn(times_s.len(), times_s.len(), |j, k| {
             let apart_s = (times_s[j] - times_s[k]).abs();

@@ -1,9 +1,9 @@
-//! Flights of a minute as drones fly them, and reconstructions that drift: how well metres come out of a log.
+//! Accuracy of metric scale from a log: simulated one-minute drone flights and reconstructions with drift.
 //!
-//! A flight goes along legs of three to nine seconds at 2 to 8 m/s, turns by up to 120° between them with a second's
-//! lag, climbs and sinks, and sways by a few decimetres in the wind. Its reconstruction has errors that add up along
-//! the way: the scale by 0.5 % and the heading by 0.3° in a minute (standard deviations of random walks). The truth is
-//! the similarity that fits all centres best.
+//! A flight has legs of three to nine seconds at 2 to 8 m/s, turns of up to 120° between them with a second's lag,
+//! climbs, descents, and a sway of a few decimetres in the wind. The errors of its reconstruction are random walks:
+//! 0.5 % of scale and 0.3° of heading in a minute (standard deviations). The truth is the similarity that fits all
+//! centres best.
 
 use nalgebra::{Vector2, vector};
 use rand::Rng as _;
@@ -15,11 +15,11 @@ use crate::math::{Rng, seeded_rng, umeyama};
 
 const DURATION_S: f64 = 60.0;
 const STEP_S: f64 = 0.1;
-/// Time between what the pilot asks for and what the drone does, seconds.
+/// Lag of the drone behind the pilot's command, seconds.
 const LAG_S: f64 = 1.0;
 /// Drift of a reconstruction per minute: logarithm of the scale, and heading in radians.
 const DRIFT: [f64; 2] = [5e-3, 5e-3];
-/// Deviation of camera centres as a share of the way, as the pipeline states it.
+/// Standard deviation of camera centres as a share of the path length, as in the pipeline.
 const STATED_DRIFT: f64 = 0.002;
 const OFFSET_S: f64 = 0.7;
 const NOISE_M: f64 = 1.5;
@@ -51,7 +51,7 @@ fn flight(rng: &mut Rng) -> Vec<Point3<f64>> {
     path
 }
 
-/// The path as it is reconstructed, units of 12.5 m: steps are turned and stretched more and more.
+/// Reconstructed path, units of 12.5 m, with accumulated errors of rotation and scale.
 fn reconstructed(path: &[Point3<f64>], rng: &mut Rng) -> Vec<Point3<f64>> {
     let step = (STEP_S / DURATION_S).sqrt();
     let (mut log_scale, mut turn, mut center) = (0.0, 0.0, Point3::origin());
@@ -94,15 +94,15 @@ fn log(path: &[Point3<f64>], rate_hz: f64, rng: &mut Rng) -> Vec<PositionFix> {
     (0..((DURATION_S - 1.0) * rate_hz) as usize).map(fix).collect()
 }
 
-/// One flight: error of the scale, its stated deviation, error of the offset and its stated deviation.
+/// One flight: error of the scale, its reported σ, error of the offset and its reported σ.
 fn trial(rate_hz: f64, offset: Offset, seed: u64) -> Option<[f64; 4]> {
     let rng = &mut seeded_rng(15, seed);
     let path = flight(rng);
     let centers = reconstructed(&path, rng);
     let truth = umeyama(&centers, &path)?.scale;
-    let way: f64 = centers.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
+    let path_length: f64 = centers.windows(2).map(|pair| (pair[1] - pair[0]).norm()).sum();
     let times = (0..centers.len()).map(|k| k as f64 * STEP_S);
-    let camera = CameraPath::new(times.zip(centers.iter().copied()), STATED_DRIFT * way)?;
+    let camera = CameraPath::new(times.zip(centers.iter().copied()), STATED_DRIFT * path_length)?;
     let gravity = Some(Gravity { up_in_world: Vector3::z(), std: 0.03 });
     let support = Support { offset, gravity, orientation: None };
     let found = align_to_fixes(&camera, &log(&path, rate_hz, rng), &support).ok()?;
@@ -110,8 +110,9 @@ fn trial(rate_hz: f64, offset: Offset, seed: u64) -> Option<[f64; 4]> {
     Some([error, found.log_scale_std(), found.offset_s - OFFSET_S, found.offset_std_s])
 }
 
-/// Prints a row of docs/benchmarks/metres.md; gives the root mean square errors of scale and offset, and how many
-/// scales lie within one deviation.
+/// Prints a row of docs/benchmarks/metres.md.
+///
+/// Returns the root mean square errors of scale and offset, and the number of scales within one standard deviation.
 fn row(name: &str, rate_hz: f64, offset: Offset, num: u64) -> [f64; 3] {
     let found: Vec<[f64; 4]> = (0..num).filter_map(|seed| trial(rate_hz, offset, seed)).collect();
     let n = found.len() as f64;
@@ -137,7 +138,7 @@ fn row(name: &str, rate_hz: f64, offset: Offset, num: u64) -> [f64; 3] {
 fn a_minute_of_a_drone_gives_metres_to_two_per_cent() {
     let [scale, offset_s, within] = row("10 Hz", 10.0, Offset::TWO_BUTTONS, 40);
     assert!(scale < 0.02 && offset_s < 0.25, "{scale} {offset_s}");
-    // Of 40 flights 68 ± 7.4 % lie within one deviation.
+    // Of 40 flights 68 ± 7.4 % are within one standard deviation.
     assert!((0.45..=0.92).contains(&within), "{within}");
 }
 

@@ -1,18 +1,18 @@
-//! A camera's path laid onto a receiver's fixes.
+//! Alignment of a camera trajectory to a receiver's fixes.
 //!
 //! Unknown are the similarity `metric_from_world` and the time offset δ between log and video. A fix at time τ of the
 //! log's clock shows
 //!
 //! `p = s R (c(τ − δ) − c̄) + m + b(τ) + e`
 //!
-//! with the camera's centre c, its mean c̄, a bias b that wanders (a Gauss–Markov process, part of the covariance and
-//! not a parameter, so that it is neither trusted nor forgotten) and noise e that is new in every fix. Generalised
-//! least squares over (log s, R, m, δ), with what is known of the vertical, of the camera's attitude and of the offset
-//! as further observations; `docs/maths/metric.md`, eqs. 1–5.
+//! with the camera's centre c, its mean c̄, a correlated bias b (a Gauss–Markov process, part of the covariance and not
+//! a parameter) and noise e that is independent between fixes. The solution is generalised least squares over
+//! (log s, R, m, δ), with priors on the vertical, the camera's attitude and the offset as further observations;
+//! `docs/maths/metric.md`, eqs. 1–5.
 //!
-//! Fixes that jump are found by what the others say of them and lose their weight. What the motion leaves open comes
-//! out with its deviation: a straight flight leaves the roll to the vertical, hovering leaves the scale. A log of
-//! another flight is refused: [`Refusal`].
+//! Fixes that jump are detected by their residuals against the other fixes and downweighted. Parameters that the motion
+//! does not determine keep a large standard deviation: in a straight flight only the vertical determines the roll, and
+//! hovering does not determine the scale. A log of another flight is rejected: [`Refusal`].
 
 pub(super) mod covariance;
 #[cfg(test)]
@@ -39,18 +39,18 @@ pub enum Offset {
         /// Standard deviation, seconds.
         std_s: f64,
     },
-    /// Nothing: it is looked for wherever log and video can overlap.
+    /// No prior: all offsets at which log and video overlap are searched.
     Unknown,
 }
 
 impl Offset {
-    /// Of a log inside the video or next to it as its subtitles: what receivers are late.
+    /// Prior for a log inside the video or in its subtitles: the latency of receivers.
     pub const SAME_FILE: Self = Self::Known { mean_s: 0.0, std_s: 0.2 };
-    /// Of a log whose times count from its own beginning: as well as people press two buttons at once.
+    /// Prior for a log whose times count from its own beginning: both recordings were started by hand.
     pub const TWO_BUTTONS: Self = Self::Known { mean_s: 0.0, std_s: 2.0 };
 }
 
-/// Where up is in the frame of the background.
+/// Vertical in the frame of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Gravity {
     /// Unit vector.
@@ -70,7 +70,7 @@ pub struct Orientation {
     pub heading_std: f64,
 }
 
-/// Information besides the fixes.
+/// Priors of the alignment.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Support {
     /// Time between the clocks.
@@ -81,14 +81,14 @@ pub struct Support {
     pub orientation: Option<Orientation>,
 }
 
-/// Number of parameters: log s, rotation (3), place of c̄ (3), time offset.
+/// Number of parameters: log s, rotation (3), position of c̄ (3), time offset.
 pub(super) const NUM_PARAMETERS: usize = 8;
 
-/// Covariance of log s, rotation vector (axes east, north, up; radians), and the place of
+/// Covariance of log s, rotation vector (axes east, north, up; radians), and the position of
 /// [`Alignment::anchor_in_world`] (metres).
 pub type Covariance = SMatrix<f64, 7, 7>;
 
-/// A path on its fixes.
+/// Alignment of a path to its fixes.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Alignment {
     /// Metres east, north, up from units of the background.
@@ -103,9 +103,9 @@ pub struct Alignment {
     pub offset_std_s: f64,
     /// Fixes in the time of the video.
     pub num_fixes: usize,
-    /// Share of them that jump, and count for nothing.
+    /// Share of them that are rejected as jumps.
     pub rejected_share: f64,
-    /// Standard deviation of what is new in every fix, as found, over what was stated; horizontal.
+    /// Estimated over stated standard deviation of the independent noise of a fix, horizontal.
     pub noise_factor: f64,
 }
 
@@ -132,7 +132,7 @@ impl Alignment {
     }
 }
 
-/// Why fixes give no metres.
+/// Reason why fixes give no metric scale.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum Refusal {
     /// Too few fixes in the time of the video.
@@ -147,7 +147,7 @@ pub enum Refusal {
         /// Number of fixes.
         of: usize,
     },
-    /// Too few fixes to find out how the clocks go together.
+    /// Too few fixes to estimate the clock offset.
     #[error(
         "clock offset unknown: estimating it needs {least} positions within the time of the video, found {num}; give \
          --time-offset",
@@ -167,7 +167,7 @@ pub enum Refusal {
         percent: f64,
         /// Diagonal of the box round the fixes, metres.
         extent_m: f64,
-        /// Deviation of a fix, metres.
+        /// Standard deviation of a fix, metres.
         std_m: f64,
     },
     /// The fixes do not follow the path.
@@ -176,9 +176,9 @@ pub enum Refusal {
          deviate {noise_factor:.1} times as much as expected"
     )]
     AnotherMotion {
-        /// Share that does not fit, per cent.
+        /// Share of outliers, per cent.
         rejected_percent: f64,
-        /// Deviation over what was stated.
+        /// Estimated over stated standard deviation.
         noise_factor: f64,
     },
     /// Two offsets fit equally well.
@@ -191,17 +191,17 @@ pub enum Refusal {
     },
 }
 
-/// Fewer fixes leave nothing to judge the fit by.
+/// Minimum number of fixes; fewer leave no redundancy to check the fit.
 const MIN_FIXES: usize = 4;
 
-/// With fewer a wrong offset fits as well as the right one, and its scale looks sure: six fixes of a wandering receiver
-/// gave scales up to half as large again.
+/// Minimum number of fixes to estimate the offset. With fewer a wrong offset fits as well as the right one, at a small
+/// standard deviation of its scale: six fixes of a receiver with drift gave scales up to half as large again.
 const MIN_FIXES_FOR_OFFSET: usize = 8;
 
-/// Lays a camera's path onto fixes.
+/// Aligns a camera path to fixes.
 ///
 /// # Errors
-/// [`Refusal`] says why the fixes give no metres.
+/// [`Refusal`] gives the reason why the fixes do not determine the scale.
 pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Support) -> Result<Alignment, Refusal> {
     let fixes = distinct(fixes);
     let starts = search::starts(path, &fixes, support);
@@ -213,7 +213,7 @@ pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Suppor
         return Err(Refusal::NoOverlap { num, of: fixes.len() });
     };
     found.retain(|fit| fit.badness() <= least + fit.badness_by_chance());
-    // Of fits that are equally good, the one that explains most. The sort is stable: of equal ones the best.
+    // Among equally good fits, the one with the most inliers wins. The sort is stable: among equal ones, the best.
     found.sort_by_key(|fit| std::cmp::Reverse(fit.alignment.num_fixes));
     let [fit, others @ ..] = &found[..] else { return Err(Refusal::NoOverlap { num: 0, of: 0 }) };
     judge(fit, &fixes)?;
@@ -227,16 +227,16 @@ pub fn align_to_fixes(path: &CameraPath, fixes: &[PositionFix], support: &Suppor
     Ok(best.clone())
 }
 
-/// Accepts or refuses a fit.
+/// Accepts or rejects a fit.
 fn judge(fit: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
     let best = &fit.alignment;
-    // If a third of the fixes do not fit, it is not they that are wrong; nor if all of them are so far off.
+    // If a third of the fixes are outliers, or all residuals are this large, the alignment is wrong and not the fixes.
     if best.rejected_share > 0.34 || best.noise_factor > 3.0 {
         let rejected_percent = 100.0 * best.rejected_share;
         return Err(Refusal::AnotherMotion { rejected_percent, noise_factor: best.noise_factor });
     }
     let log_scale_std = best.log_scale_std();
-    // A scale that is known to a quarter, at best, is not known: the arithmetic with logarithms ends here.
+    // A scale known to a quarter at best is undetermined: first-order arithmetic with logarithms is invalid beyond.
     if !(log_scale_std <= 0.25) {
         let percent = (100.0 * log_scale_std).min(999.0);
         let std_m = fixes.iter().map(|fix| fix.horizontal_std_m).fold(f64::INFINITY, f64::min);
@@ -245,10 +245,10 @@ fn judge(fit: &refine::Refined, fixes: &[PositionFix]) -> Result<(), Refusal> {
     Ok(())
 }
 
-/// Another fit that explains as much as this one, at another time.
+/// Another fit with as many inliers as this one, at another offset.
 fn contradicts(best: &Alignment, other: &Alignment) -> bool {
     let apart_s = (other.offset_s - best.offset_s).abs();
     let std_s = best.offset_std_s.hypot(other.offset_std_s);
-    // A fit explains as much as another if it has at least this part of its fixes.
+    // The other fit is as good if it has at least this share of the inliers.
     other.num_fixes as f64 >= 0.9 * best.num_fixes as f64 && apart_s > 3.0 * std_s + 1.0
 }

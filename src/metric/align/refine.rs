@@ -1,4 +1,4 @@
-//! Least squares over similarity and time offset, with correlated errors, jumps and noise as it is found.
+//! Least squares over similarity and time offset, with correlated errors, outlier rejection and estimated noise.
 
 use nalgebra::{DMatrix, DVector, Matrix3, Point3, SMatrix, SVector, UnitQuaternion, Vector3};
 
@@ -12,12 +12,12 @@ use crate::metric::fix::{Group, PositionFix, groups};
 type Normal = SMatrix<f64, NUM_PARAMETERS, NUM_PARAMETERS>;
 type Step = SVector<f64, NUM_PARAMETERS>;
 
-/// Where the parameters stand.
+/// Current parameters.
 #[derive(Clone, Copy, Debug)]
 struct State {
     log_scale: f64,
     rotation: UnitQuaternion<f64>,
-    /// Place of the path's mean, metres.
+    /// Position of the path's mean, metres.
     place: Point3<f64>,
     offset_s: f64,
 }
@@ -50,22 +50,22 @@ impl Refined {
         (self.chi2 / self.num_groups as f64 + rejected) * self.alignment.noise_factor.max(1.0).powi(2)
     }
 
-    /// Difference by chance between fits of this many groups: three standard deviations of χ² over its degrees of
+    /// Random difference between fits of this many groups: three standard deviations of χ² over its degrees of
     /// freedom.
     pub(super) fn badness_by_chance(&self) -> f64 {
         3.0 * (2.0 / (3.0 * self.num_groups as f64)).sqrt()
     }
 }
 
-/// From this many deviations on a fix loses weight: one in three hundred by chance, in two directions.
+/// Standard deviations beyond which a fix is downweighted: by chance one in three hundred, in two dimensions.
 const SUSPECT: f64 = 3.4;
-/// From this many on it jumps.
+/// Standard deviations beyond which a fix counts as a jump.
 const REJECTED: f64 = 6.0;
 /// Weight of a fix that jumps.
 const NO_WEIGHT: f64 = 1e-6;
-/// Scale and noise that change by less than this part of them stand still.
+/// Relative change of scale and noise below which they have converged.
 const SETTLED: f64 = 1e-3;
-/// The stated noise counts as much as this many fixes.
+/// Weight of the stated noise, as a number of fixes.
 const NOISE_PRIOR: f64 = 6.0;
 
 struct Fit<'a> {
@@ -120,7 +120,7 @@ pub(super) fn refine(path: &CameraPath, fixes: &[PositionFix], support: &Support
     let groups = groups(&used);
     let mut fit = Fit::new(path, support, groups, start);
     fit.weigh_by_start();
-    // Rounds in which weights and noise are found again.
+    // Maximum number of updates of weights and noise.
     for _ in 0..12 {
         let before = (fit.state.log_scale, fit.noise[0]);
         fit.settle()?;
@@ -157,13 +157,13 @@ impl<'a> Fit<'a> {
         (state.rotation * arm * factor, state.rotation * velocity * factor)
     }
 
-    /// Position of a group less what the path says, metres.
+    /// Residual of a group: its position minus the path's, metres.
     fn residuals(&self, state: &State) -> Vec<Vector3<f64>> {
         let residual = |group: &Group| group.position_m - (state.place + self.moved(state, group).0);
         self.groups.iter().map(residual).collect()
     }
 
-    /// Fixes that are far from the robust start begin without weight.
+    /// Initial weights; fixes far from the robust initial alignment have none.
     fn weigh_by_start(&mut self) {
         let residuals = self.residuals(&self.state);
         for (j, (group, residual)) in self.groups.iter().zip(&residuals).enumerate() {
@@ -175,7 +175,7 @@ impl<'a> Fit<'a> {
         }
     }
 
-    /// Groups that take part on an axis: all in the plane, those with a height upwards.
+    /// Groups used on an axis: all of them horizontally, those with a height vertically.
     fn members(&self, axis: usize) -> Vec<usize> {
         (0..self.groups.len()).filter(|&j| axis < 2 || self.groups[j].has_up).collect()
     }
@@ -193,7 +193,7 @@ impl<'a> Fit<'a> {
         Errors::new(&times_s, &wander_m, noise)
     }
 
-    /// Derivatives of what the path says along an axis, and the residuals.
+    /// Derivatives of the predicted positions along an axis, and the residuals.
     fn axis(&self, state: &State, axis: usize, members: &[usize]) -> Axis {
         let mut jacobian = DMatrix::zeros(members.len(), NUM_PARAMETERS);
         let mut residual = DVector::zeros(members.len());
@@ -218,7 +218,7 @@ impl<'a> Fit<'a> {
         Some(AxisErrors { members, horizontal, vertical })
     }
 
-    /// Gauss–Newton with the weights as they are; steps that make it worse are halved.
+    /// Gauss–Newton at fixed weights; steps that increase the cost are halved.
     fn settle(&mut self) -> Option<()> {
         let errors = self.axis_errors()?;
         for _ in 0..6 {
@@ -241,8 +241,7 @@ impl<'a> Fit<'a> {
         Some(())
     }
 
-    /// Normal equations, with standard deviations of what is not known: a scale of any order, a turn of any size, a
-    /// place anywhere.
+    /// Normal equations, with uninformative priors on scale, rotation and position.
     fn normal(&self, errors: &AxisErrors) -> (Normal, Step) {
         let (mut normal, mut gradient) = self.priors(&self.state);
         for (axis, members, errors) in errors.axes() {
@@ -265,7 +264,7 @@ impl<'a> Fit<'a> {
         errors.axes().map(of_axis).sum::<f64>() + self.prior_cost(state)
     }
 
-    /// Residual and weight of what is known of rotation and offset.
+    /// Residuals and weights of the priors on rotation and offset.
     fn prior_residuals(&self, state: &State) -> PriorResiduals {
         let gravity = self
             .support
@@ -320,7 +319,7 @@ impl<'a> Fit<'a> {
         (normal, gradient)
     }
 
-    /// Weights by what the other fixes say of each, and the noise by what is left (docs/maths/metric.md, eqs. 4 and 5).
+    /// Updates the weight of each fix by the others, and the noise by residuals (docs/maths/metric.md, eqs. 4 and 5).
     fn reweigh(&mut self) -> Option<()> {
         let residuals = self.residuals(&self.state);
         let mut distances = [vec![0.0; self.groups.len()], vec![0.0; self.groups.len()]];
@@ -344,7 +343,7 @@ impl<'a> Fit<'a> {
                     sums[kind][1] += noise * precision;
                 }
             }
-            // The parameters take their share of what could be seen: eight of three axes.
+            // The parameters reduce the degrees of freedom: eight over three axes.
             sums[kind][1] -= (NUM_PARAMETERS as f64 / 3.0) * (1.0 - wander_share(&errors, &members, self, kind));
         }
         for kind in 0..2 {
@@ -390,7 +389,7 @@ impl<'a> Fit<'a> {
     }
 }
 
-/// Share of the variance of an axis that wanders, in the mean.
+/// Mean share of correlated noise in the variance of an axis.
 fn wander_share(errors: &Errors, members: &[usize], fit: &Fit, kind: usize) -> f64 {
     let drift: f64 = members.iter().map(|&j| fit.groups[j].wander_m[kind].powi(2)).sum();
     drift / (drift + errors.noise.sum())
@@ -406,7 +405,7 @@ fn weight_of(distance: f64) -> f64 {
     }
 }
 
-/// A step that linearisation can be trusted with.
+/// Limits a step to the validity of the linearisation.
 fn limited(step: Step) -> Step {
     // Maximum step of each parameter: logarithm of the scale, rotation in radians, position, clock offset in seconds.
     const MAX_STEP: [f64; NUM_PARAMETERS] = [0.7, 0.5, 0.5, 0.5, f64::INFINITY, f64::INFINITY, f64::INFINITY, 1.0];

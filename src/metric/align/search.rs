@@ -1,19 +1,19 @@
-//! Where in time a log may fit a video.
+//! Candidate time offsets between a log and a video.
 //!
-//! For every offset of a grid the path is laid onto the fixes in closed form; the curve of the mean distance has minima
-//! where the motions agree. That uses what a correlation of speeds uses, and the shape of the way besides.
+//! For every offset of a grid the path is aligned to the fixes in closed form. The mean distance has minima where the
+//! motions agree. Unlike a correlation of speeds, this also uses the shape of the trajectory.
 
 use super::start::{NUM_ROUNDS, Pairs, align, up};
 use super::{CameraPath, MIN_FIXES, Offset, PositionFix, Support};
 use crate::math::Sim3;
 
-/// An offset and an alignment to begin with.
+/// Initial offset and alignment.
 pub(super) struct Start {
     pub(super) offset_s: f64,
     pub(super) metric_from_world: Sim3,
 }
 
-/// Alignments to begin with, from the most likely offsets.
+/// Initial alignments at the most likely offsets.
 pub(super) fn starts(path: &CameraPath, fixes: &[PositionFix], support: &Support) -> Vec<Start> {
     let up = up(support);
     let grid = grid(path, fixes, support.offset);
@@ -21,7 +21,7 @@ pub(super) fn starts(path: &CameraPath, fixes: &[PositionFix], support: &Support
     let curve: Vec<(f64, Option<f64>)> = grid
         .into_iter()
         .map(|offset_s| {
-            // Log and video share most of what they can.
+            // Log and video overlap nearly as much as possible.
             let enough = overlap_s(path, fixes, offset_s) >= 0.7 * most;
             // Mean distance after a quick alignment, meters.
             let misfit = || align(&pairs(path, fixes, offset_s)?, up, 3).map(|(_, mean)| mean);
@@ -35,20 +35,20 @@ pub(super) fn starts(path: &CameraPath, fixes: &[PositionFix], support: &Support
     minima(&curve).into_iter().filter_map(start).collect()
 }
 
-/// The most fixes that lie in the time of the video at any possible offset.
+/// Maximum number of fixes within the time of the video, over all possible offsets.
 pub(super) fn most_overlapping(path: &CameraPath, fixes: &[PositionFix], offset: Offset) -> usize {
     let count = |offset_s: f64| fixes.iter().filter(|fix| path.covers(fix.time_s - offset_s)).count();
     grid(path, fixes, offset).into_iter().map(count).max().unwrap_or(0)
 }
 
-/// Offsets that are possible at all.
+/// Range of possible offsets.
 fn grid(path: &CameraPath, fixes: &[PositionFix], offset: Offset) -> Vec<f64> {
     let (Some(first), Some(last)) = (fixes.first(), fixes.last()) else { return Vec::new() };
     let (start, end) = path.span_s();
     let (least, most) = (first.time_s - end, last.time_s - start);
     let (least, most) = match offset {
         Offset::Unknown => (least, most),
-        // Offsets of known clocks are looked for within so many deviations.
+        // Search range for offsets of known clocks, standard deviations.
         Offset::Known { mean_s, std_s } => ((mean_s - 4.0 * std_s).max(least), (mean_s + 4.0 * std_s).min(most)),
     };
     if !(least <= most) {
@@ -67,7 +67,7 @@ fn grid(path: &CameraPath, fixes: &[PositionFix], offset: Offset) -> Vec<f64> {
     (0..=num).map(|i| origin + i as f64 * step_s).filter(|offset_s| *offset_s <= most).collect()
 }
 
-/// Time that log and video share.
+/// Overlap of log and video.
 fn overlap_s(path: &CameraPath, fixes: &[PositionFix], offset_s: f64) -> f64 {
     let (start, end) = path.span_s();
     let (Some(first), Some(last)) = (fixes.first(), fixes.last()) else { return 0.0 };
@@ -78,7 +78,7 @@ fn pairs(path: &CameraPath, fixes: &[PositionFix], offset_s: f64) -> Option<Pair
     let begin = fixes.partition_point(|fix| fix.time_s - offset_s < path.span_s().0);
     let end = fixes.partition_point(|fix| fix.time_s - offset_s <= path.span_s().1);
     let inside = fixes.get(begin..end)?;
-    // Fixes that a single alignment of the grid looks at.
+    // Number of fixes used by a single alignment of the grid.
     let every = inside.len().div_ceil(120).max(1);
     let used = inside.iter().step_by(every).filter(|fix| path.covers(fix.time_s - offset_s));
     let (mut centers, mut positions, mut std_m) = (Vec::new(), Vec::new(), f64::INFINITY);
@@ -99,6 +99,6 @@ fn minima(curve: &[(f64, Option<f64>)]) -> Vec<f64> {
     };
     let mut found: Vec<usize> = (0..curve.len()).filter(is_minimum).collect();
     found.sort_by(|&a, &b| value(a).total_cmp(&value(b)));
-    // So many minima are looked at more closely.
+    // Number of minima that are refined.
     found.into_iter().take(5).map(|i| curve[i].0).collect()
 }

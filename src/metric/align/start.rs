@@ -1,4 +1,4 @@
-//! A first alignment in closed form, robust against jumps, for one time offset.
+//! Initial alignment in closed form, robust against jumps, for one time offset.
 
 use nalgebra::{Matrix3, Point3, Rotation3, UnitQuaternion, Vector3};
 
@@ -9,11 +9,11 @@ use crate::math::{Sim3, svd3};
 pub(super) struct Pairs {
     pub(super) centers: Vec<Point3<f64>>,
     pub(super) positions: Vec<Point3<f64>>,
-    /// Deviations below which a residual is as good as none, metres.
+    /// Standard deviations below which a residual counts as zero, metres.
     pub(super) std_m: f64,
 }
 
-/// Rounds of reweighting; a handful settle it.
+/// Iterations of reweighting; a few suffice for convergence.
 pub(super) const NUM_ROUNDS: usize = 8;
 
 /// The similarity with the least sum of distances, and the mean of these (metres), by reweighted least squares.
@@ -45,7 +45,7 @@ fn mean(points: &[Point3<f64>], weights: &[f64]) -> Vector3<f64> {
     sum / weights.iter().sum::<f64>()
 }
 
-/// Umeyama's similarity with weights, also where the points lie on a line: the turn about it is then any.
+/// Umeyama's weighted similarity; for collinear points the rotation about their line is arbitrary.
 fn free(pairs: &Pairs, weights: &[f64]) -> Option<Sim3> {
     let (from, to) = (mean(&pairs.centers, weights), mean(&pairs.positions, weights));
     let mut covariance = Matrix3::zeros();
@@ -65,7 +65,7 @@ fn free(pairs: &Pairs, weights: &[f64]) -> Option<Sim3> {
     Some(Sim3::new(scale, rotation, to - rotation * from * scale))
 }
 
-/// The similarity that keeps up upright: a turn about it, a scale, a shift, linear in a = s cos ψ, b = s sin ψ.
+/// Similarity that preserves the vertical: heading, scale and translation, linear in a = s cos ψ, b = s sin ψ.
 fn upright(pairs: &Pairs, weights: &[f64], up_in_world: Vector3<f64>) -> Option<Sim3> {
     let level = UnitQuaternion::rotation_between(&up_in_world, &Vector3::z())
         .unwrap_or_else(|| UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::PI));

@@ -1,4 +1,4 @@
-//! Flights that are made up, with a receiver that wanders, jumps and rounds.
+//! Simulated flights, with drift, jumps and rounding of the receiver.
 
 use nalgebra::{Vector2, point, vector};
 use rand_distr::{Distribution, StandardNormal};
@@ -7,7 +7,7 @@ use super::covariance::WANDER_TIME_S;
 use super::*;
 use crate::math::{Rng, seeded_rng};
 
-/// A flight in metres, at times from 0 on.
+/// Flight path in metres, with times from 0.
 type Flight = fn(f64) -> Point3<f64>;
 
 /// Two hundred metres in a minute, with turns.
@@ -15,13 +15,13 @@ fn winding(t: f64) -> Point3<f64> {
     point![4.0 * t + 20.0 * (t / 9.0).sin(), 30.0 * (t / 14.0).cos(), 30.0 + 3.0 * (t / 11.0).sin()]
 }
 
-/// Along a line, at a speed that changes.
+/// Straight flight at a varying speed.
 fn straight(t: f64) -> Point3<f64> {
-    let way = 5.0 * t + 12.0 * (t / 8.0).sin();
-    point![0.8 * way, 0.6 * way, 40.0]
+    let distance = 5.0 * t + 12.0 * (t / 8.0).sin();
+    point![0.8 * distance, 0.6 * distance, 40.0]
 }
 
-/// Sharp turns and stops, as cars make them.
+/// Sharp turns and stops of a car.
 fn hasty(t: f64) -> Point3<f64> {
     point![9.0 * t + 25.0 * (t / 2.5).sin(), 20.0 * (t / 3.3).cos(), 1.5]
 }
@@ -30,7 +30,7 @@ fn hovering(t: f64) -> Point3<f64> {
     point![0.3 * (t / 7.0).sin(), 0.2 * (t / 5.0).cos(), 25.0]
 }
 
-/// Where the frame of the background lies in the simulations.
+/// True similarity from the frame of the background in the simulations.
 fn metric_from_world() -> Sim3 {
     Sim3::new(12.5, UnitQuaternion::from_euler_angles(0.9, -0.4, 2.2), vector![300.0, -120.0, 40.0])
 }
@@ -100,10 +100,10 @@ fn perfect_fixes_give_the_similarity_and_the_offset() {
     assert!((place - metric_from_world() * point![0.3, -0.2, 0.9]).norm() < 0.1);
 }
 
-/// Errors of scale and offset over flights of other noise, and how many scales lie within one and two deviations.
+/// Errors of scale and offset over noise realizations, and the coverage of the scale within 1 σ and 2 σ.
 struct Trials {
     refused: usize,
-    /// Mean of the stated deviations of the scale.
+    /// Mean reported standard deviation of the scale.
     stated: f64,
     scale_rms: f64,
     scale_mean: f64,
@@ -171,11 +171,11 @@ fn trials_on(
 }
 
 #[test]
-fn a_minute_of_flight_gives_metres_to_two_per_cent_with_honest_deviations() {
+fn a_minute_of_flight_gives_metres_to_two_per_cent_with_calibrated_deviations() {
     let found = trials(winding, 60.0, &RECEIVER, Offset::Unknown, 100);
     assert!(found.scale_rms < 0.02 && found.scale_mean.abs() < 0.006, "{found}");
     assert!(found.offset_rms_s < 0.5, "{found}");
-    // Of 100 flights 68 ± 4.7 lie within one deviation.
+    // Of 100 flights 68 ± 4.7 are within one standard deviation.
     assert!((0.56..=0.80).contains(&found.within[0]) && found.within[1] > 0.88, "{found}");
     assert!((0.54..=0.82).contains(&found.offset_within), "{found}");
 }
@@ -218,7 +218,7 @@ fn rendered_path(file: &std::path::Path) -> (String, Vec<(f64, Point3<f64>)>) {
 #[ignore = "needs sequences that are not part of this repository: TRACTRIX_DATA"]
 fn rendered_camera_paths_under_a_receiver() {
     for (name, frames) in rendered_paths() {
-        let way_m: f64 = frames.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).sum();
+        let path_length_m: f64 = frames.windows(2).map(|pair| (pair[1].1 - pair[0].1).norm()).sum();
         let duration_s = frames[frames.len() - 1].0;
         let in_metres = CameraPath::new(frames.iter().copied(), 0.0).unwrap();
         let world_from_metric = metric_from_world().inverse();
@@ -227,7 +227,7 @@ fn rendered_camera_paths_under_a_receiver() {
             let offset_s = if offset == Offset::Unknown { 0.7 } else { 0.0 };
             let receiver = Receiver { rate_hz, offset_s, ..RECEIVER };
             let found = trials_on(&path, |t| in_metres.at(t).0, duration_s, &receiver, offset, 100);
-            println!("| {name} | {way_m:.0} m, {duration_s:.1} s | {rate_hz} Hz, {offset:?} | {found} |");
+            println!("| {name} | {path_length_m:.0} m, {duration_s:.1} s | {rate_hz} Hz, {offset:?} | {found} |");
         }
     }
 }
@@ -262,7 +262,7 @@ fn hovering_gives_no_scale() {
 }
 
 #[test]
-fn a_handful_of_fixes_gives_what_it_determines() {
+fn few_fixes_give_the_determined_parameters() {
     let fixes = log(winding, 62.0, &Receiver { rate_hz: 0.1, ..RECEIVER }, &mut seeded_rng(5, 0));
     let found = align_to_fixes(&path(winding, 60.0), &fixes, &support(Offset::SAME_FILE)).unwrap();
     assert!(found.num_fixes <= 7 && scale_error(&found).abs() < 3.0 * found.log_scale_std(), "{found:?}");
@@ -292,7 +292,7 @@ fn jumps_lose_their_weight() {
 }
 
 #[test]
-fn six_fixes_do_not_tell_how_clocks_go_together() {
+fn six_fixes_do_not_determine_the_clock_offset() {
     let receiver = Receiver { noise_m: 0.02, wander_m: 0.02, ..RECEIVER };
     let fixes = log(hasty, 7.0, &receiver, &mut seeded_rng(9, 0));
     let path = path(hasty, 6.0);
@@ -303,7 +303,7 @@ fn six_fixes_do_not_tell_how_clocks_go_together() {
 }
 
 #[test]
-fn a_log_of_another_flight_is_refused() {
+fn a_log_of_another_flight_is_rejected() {
     let path = path(winding, 60.0);
     fn circling(t: f64) -> Point3<f64> {
         point![60.0 * (t / 4.0).cos(), 60.0 * (t / 4.0).sin(), 30.0]
@@ -331,7 +331,7 @@ fn a_short_piece_of_a_long_log_is_found() {
 }
 
 #[test]
-fn a_receiver_that_is_better_than_it_says_is_trusted_more_and_one_that_is_worse_less() {
+fn overstated_noise_is_reduced() {
     let path = path(winding, 60.0);
     let smooth = log(winding, 62.0, &Receiver { rate_hz: 5.0, noise_m: 0.1, ..RECEIVER }, &mut seeded_rng(10, 0));
     let mut stated = smooth.clone();
@@ -341,7 +341,7 @@ fn a_receiver_that_is_better_than_it_says_is_trusted_more_and_one_that_is_worse_
 }
 
 #[test]
-fn nothing_that_comes_in_makes_nonsense_go_out() {
+fn invalid_input_gives_no_invalid_output() {
     let path = path(winding, 60.0);
     let mut fixes = log(winding, 62.0, &RECEIVER, &mut seeded_rng(11, 0));
     fixes[3].east_north_m.x = f64::NAN;

@@ -1,11 +1,10 @@
 //! Typical vehicle sizes: lengths, widths and heights of a class as a source of meters.
 //!
-//! A class is made of segments, whose vehicles are alike: the logarithms of a vehicle's dimensions are normal round
-//! those of its segment, with a part that the dimensions of one vehicle share (large or small) and a part of each.
+//! A class consists of segments of similar vehicles: the logarithms of a vehicle's dimensions are normally distributed
+//! about those of its segment, with a part common to its dimensions (large or small) and an independent part of each.
 //! Each vehicle gives the logarithm of metres per unit as a mixture over the segments of its class ([`single`]).
-//! Vehicles that no segment explains, and such as contradict the others, are left out and named; the rest are one by
-//! their inverse variances, and what all vehicles of a place have in common is added. docs/maths/metric.md, eq. 8, has
-//! the equations.
+//! Vehicles that fit no segment, or that contradict the others, are rejected and reported. The rest are averaged by
+//! inverse variances, and the variance common to all vehicles of a location is added; docs/maths/metric.md, eq. 8.
 
 mod segments;
 mod single;
@@ -14,7 +13,7 @@ use std::collections::BTreeMap;
 
 use self::single::{SizeEstimate, answer, probability_of_car};
 
-/// A class whose vehicles are alike.
+/// Class of vehicles with known size statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum VehicleClass {
     /// Cars, sport utility vehicles and small vans.
@@ -41,16 +40,16 @@ pub enum Dimension {
 with_names!(Dimension { Length = "length", Width = "width", Height = "height" });
 
 impl Dimension {
-    /// Its place in an array of length, width and height.
+    /// Index in an array of length, width and height.
     fn index(self) -> usize {
         self as usize
     }
 }
 
-/// A dimension that was measured, in units of the background.
+/// Measured dimension, in units of the background.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Extent {
-    /// Which vehicle: extents of one vehicle share whether it is large or small.
+    /// Id of the vehicle: extents of one vehicle have a common deviation from its segment.
     pub vehicle: u32,
     /// Its class.
     pub class: VehicleClass,
@@ -76,46 +75,46 @@ impl Extent {
 /// Meters per unit by the sizes of vehicles.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct VehicleSizes {
-    /// Logarithm of metres per unit and its standard deviation; `None` where no vehicle says anything.
+    /// Logarithm of metres per unit and its standard deviation; `None` where no vehicle determines it.
     pub log_scale: Option<(f64, f64)>,
-    /// Vehicles that contradict what is expected, in the order in which they were found.
+    /// Vehicles of unexpected size, in the order in which they were found.
     pub odd: Vec<OddVehicle>,
 }
 
-/// A vehicle whose size contradicts what is expected.
+/// A vehicle of unexpected size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct OddVehicle {
-    /// Which one.
+    /// Id of the vehicle.
     pub vehicle: u32,
     /// Anomaly.
     pub oddity: Oddity,
-    /// By how many standard deviations.
+    /// Size of the anomaly, standard deviations.
     pub deviations: f64,
 }
 
 /// Anomaly of a vehicle's size.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Oddity {
-    /// No vehicle of its class has its proportions. It is left out.
+    /// Its proportions fit no segment of its class. It is rejected.
     Shape,
-    /// By its size a unit is this many times as long as by the sizes of the others. It is left out where two others
-    /// are left to say so, or where but one of its extents is known.
+    /// Ratio of the unit by its size to the unit by the sizes of the others. It is rejected if two others remain to
+    /// contradict it, or if only one of its extents is known.
     Scale(f64),
 }
 
 /// Share of the variance of the logarithm that the dimensions of one vehicle have in common.
 const SHARED_BY_VEHICLE: f64 = 0.4;
 
-/// Deviation of what the vehicles of one place have in common: cars of KITTI (Karlsruhe, 2011) and of nuScenes (Boston
+/// Standard deviation common to the vehicles of one location: cars of KITTI (Karlsruhe, 2011) and of nuScenes (Boston
 /// and Singapore, 2018) differ by 17 % in length, 18 % in width and 12 % in height of their boxes, half of which the
 /// labels' different margins explain.
 const SHARED_BY_PLACE: f64 = 0.035;
 
-/// Standard deviation of the logarithm of the size of a vehicle that nothing confirms: only one dimension is known, so
-/// that its proportions cannot be tested, its trajectory is doubtful, or its scale ratio is a guess. Vehicles of one
-/// clip are visible alike (a roof without points, only the rear), so they have it in common. Of 51 cars of rendered
-/// sequences of which one dimension is known two thirds are within one standard deviation with it, 31 % without; those
-/// with more dimensions need none.
+/// Standard deviation of the logarithm of the size of an unconfirmed vehicle: only one dimension is known, so that its
+/// proportions cannot be tested, its trajectory is doubtful, or its scale ratio is a guess. Vehicles of one clip have
+/// similar visibility (a roof without points, only the rear), so they have it in common. Of 51 cars of rendered
+/// sequences with one known dimension, two thirds are within one standard deviation with it, 31 % without; those with
+/// more dimensions need none.
 const UNCONFIRMED: f64 = 0.25;
 
 impl VehicleClass {
@@ -131,15 +130,15 @@ impl VehicleClass {
     }
 }
 
-/// Metres per unit from all extents together. Extents that are not positive and finite count as none.
+/// Metres per unit from all extents together. Extents that are not positive and finite are ignored.
 pub fn vehicle_sizes(extents: &[Extent]) -> VehicleSizes {
     let by_vehicle = by_vehicle(extents);
     let answers = by_vehicle.values().filter_map(|extents| answer(extents));
     let mut answers: Vec<SizeEstimate> = answers.collect();
-    let mut odd: Vec<OddVehicle> = answers.iter().filter_map(misshapen).collect();
-    answers.retain(|answer| misshapen(answer).is_none());
+    let mut odd: Vec<OddVehicle> = answers.iter().filter_map(shape_outlier).collect();
+    answers.retain(|answer| shape_outlier(answer).is_none());
     odd.extend(take_outliers(&mut answers));
-    // What all vehicles of a place have in common is added.
+    // The variance common to all vehicles of a location is added.
     let log_scale = mean(&answers).map(|(log_scale, std)| (log_scale, std.hypot(SHARED_BY_PLACE)));
     VehicleSizes { log_scale, odd }
 }
@@ -153,9 +152,8 @@ fn by_vehicle(extents: &[Extent]) -> BTreeMap<u32, Vec<Extent>> {
     by_vehicle
 }
 
-/// Takes out the vehicle that contradicts the others most, as long as three are left. Of two that contradict each other
-/// the one whose proportions nobody could test is taken out; else nobody knows which is wrong, and both are named and
-/// stay.
+/// Rejects the vehicle that contradicts the others most, while three are left. Of two that contradict each other the
+/// one with untestable proportions is rejected; otherwise both are reported and kept.
 fn take_outliers(answers: &mut Vec<SizeEstimate>) -> Vec<OddVehicle> {
     let mut odd = Vec::new();
     loop {
@@ -172,20 +170,20 @@ fn take_outliers(answers: &mut Vec<SizeEstimate>) -> Vec<OddVehicle> {
     }
 }
 
-/// The only one of which no more than one extent is known.
+/// The vehicle with a single known extent, if there is exactly one such vehicle.
 fn untested<'a>(answers: &[SizeEstimate], found: &'a [(usize, OddVehicle)]) -> Option<&'a (usize, OddVehicle)> {
     let is_untested = |k: usize| answers[k].num_extents == 1;
     let mut untested = found.iter().filter(|(k, _)| is_untested(*k));
     untested.next().filter(|_| untested.next().is_none())
 }
 
-/// The `k`-th against the mean of the others; `None` where they agree.
+/// Tests the `k`-th against the mean of the others; `None` where they agree.
 fn against_others(answers: &[SizeEstimate], k: usize) -> Option<OddVehicle> {
     let others: Vec<SizeEstimate> = (0..answers.len()).filter(|&j| j != k).map(|j| answers[j]).collect();
     contradiction(&answers[k], mean(&others)?)
 }
 
-/// One against a logarithm of meters per unit and its standard deviation; `None` where they agree.
+/// Tests one against a logarithm of meters per unit and its standard deviation; `None` where they agree.
 fn contradiction(answer: &SizeEstimate, (log_scale, std): (f64, f64)) -> Option<OddVehicle> {
     let apart = answer.log_scale - log_scale;
     let deviations = apart.abs() / std.hypot(answer.total_std());
@@ -194,20 +192,20 @@ fn contradiction(answer: &SizeEstimate, (log_scale, std): (f64, f64)) -> Option<
     (deviations > 3.0).then_some(OddVehicle { vehicle: answer.vehicle, oddity, deviations })
 }
 
-/// One whose proportions no vehicle of its class has.
-fn misshapen(answer: &SizeEstimate) -> Option<OddVehicle> {
+/// Tests the proportions against every segment of the class; `None` where they fit one.
+fn shape_outlier(answer: &SizeEstimate) -> Option<OddVehicle> {
     let SizeEstimate { vehicle, misfit, .. } = *answer;
     // Proportions that are further from those of every segment are no vehicle's of the class.
     (misfit > 4.0).then_some(OddVehicle { vehicle, oddity: Oddity::Shape, deviations: misfit })
 }
 
-/// Vehicles whose size contradicts a scale that is known otherwise, and those without the proportions of their class.
+/// Vehicles whose size contradicts the scale of other sources, and those without the proportions of their class.
 ///
 /// * `known` – logarithm of meters per unit by other sources, and its standard deviation; `None` if unknown.
 pub fn contradicted_sizes(extents: &[Extent], known: Option<(f64, f64)>) -> Vec<OddVehicle> {
     let known = known.map(|(log_scale, std)| (log_scale, std.hypot(SHARED_BY_PLACE)));
     let answers = by_vehicle(extents).into_values().filter_map(|extents| answer(&extents));
-    answers.filter_map(|a| known.and_then(|known| contradiction(&a, known)).or_else(|| misshapen(&a))).collect()
+    answers.filter_map(|a| known.and_then(|known| contradiction(&a, known)).or_else(|| shape_outlier(&a))).collect()
 }
 
 /// Returns true if the extents of one vehicle, labeled as a bus or a truck, are those of a car.
@@ -242,7 +240,7 @@ fn mean(answers: &[SizeEstimate]) -> Option<(f64, f64)> {
 mod tests {
     use super::*;
 
-    /// All that an outline shows of a car of this length, width and height at half a metre per unit.
+    /// All measurable extents of a car of this length, width and height at half a metre per unit.
     fn car(vehicle: u32, [length, width, height]: [f64; 3]) -> Vec<Extent> {
         let of = |dimension, metres: f64| {
             let value = 2.0 * metres;
@@ -263,14 +261,14 @@ mod tests {
     const SIZES: [[f64; 3]; 5] =
         [[2.70, 1.66, 1.56], [3.57, 1.63, 1.49], [4.28, 1.79, 1.49], [4.87, 1.86, 1.47], [5.30, 1.90, 1.99]];
 
-    /// The error of the scale and its deviation.
+    /// Error of the scale and its standard deviation.
     fn error(extents: &[Extent]) -> (f64, f64) {
         let (log_scale, std) = vehicle_sizes(extents).log_scale.unwrap();
         (log_scale - 0.5f64.ln(), std)
     }
 
     #[test]
-    fn proportions_say_how_large_a_car_is() {
+    fn proportions_indicate_the_size_of_a_car() {
         for metres in SIZES {
             let (error, std) = error(&car(1, metres));
             assert!(error.abs() < 0.06 && (0.045..0.10).contains(&std), "{metres:?}: {error} {std}");
@@ -278,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn three_cars_know_more_than_one_and_a_place_does_not_average_out() {
+    fn three_cars_are_more_precise_than_one_and_the_common_part_remains() {
         let one = car(1, [4.47, 1.83, 1.50]);
         let (_, alone) = error(&one);
         let three: Vec<Extent> =
@@ -290,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn vehicles_seen_from_behind_say_less() {
+    fn vehicles_observed_from_behind_give_less_evidence() {
         let mean_std = |first: usize| -> f64 {
             let of = |metres: &[f64; 3]| error(&car(1, *metres)[first..]).1;
             SIZES.iter().map(of).sum::<f64>() / SIZES.len() as f64
@@ -312,7 +310,7 @@ mod tests {
         for class in [VehicleClass::Bus, VehicleClass::Truck] {
             assert!(is_car_by_size(&labeled(class, small), known));
             assert!(!is_car_by_size(&labeled(class, bus), known) && !is_car_by_size(&labeled(class, bus), None));
-            // Its length alone says nothing without a scale.
+            // Its length alone gives no evidence without a scale.
             assert!(!is_car_by_size(&labeled(class, small)[..1], None));
         }
         // Buses are longer for their width; of trucks some have a car's proportions.
@@ -323,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_the_shape_of_no_car_is_left_out() {
+    fn a_vehicle_without_the_proportions_of_a_car_is_rejected() {
         let mast = car(11, [3.0, 2.0, 4.3]);
         let alone = vehicle_sizes(&mast);
         assert_eq!((alone.log_scale, alone.odd[0].oddity), (None, Oddity::Shape));
@@ -333,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn a_car_of_another_scale_is_left_out_if_two_others_say_so_and_else_widens() {
+    fn a_car_of_another_scale_is_rejected_by_two_others_and_else_widens() {
         let scaled = |vehicle, factor: f64| car(vehicle, [4.3, 1.79, 1.5].map(|metres| factor * metres));
         let three = vehicle_sizes(&[scaled(1, 1.0), scaled(2, 1.02), scaled(3, 1.6)].concat());
         assert_eq!(three.odd.iter().map(|odd| odd.vehicle).collect::<Vec<_>>(), [3]);
@@ -346,7 +344,7 @@ mod tests {
     }
 
     #[test]
-    fn the_size_of_vehicles_that_nothing_confirms_is_uncertain() {
+    fn the_size_of_unconfirmed_vehicles_is_uncertain() {
         let rear = car(1, [4.3, 1.79, 1.5]);
         let doubtful = |vehicle: u32| -> Vec<Extent> {
             let car = car(vehicle, [4.3, 1.79, 1.5]);
@@ -356,7 +354,7 @@ mod tests {
             let (_, std) = error(&extents);
             assert!((UNCONFIRMED..0.3).contains(&std), "{std}");
         }
-        // A car that is seen well has nearly all weight.
+        // A well observed car has nearly all the weight.
         let (_, std) = error(&[car(2, [4.3, 1.79, 1.5]), rear[2..].to_vec()].concat());
         assert!(std < 0.08, "{std}");
     }

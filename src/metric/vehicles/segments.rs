@@ -1,11 +1,11 @@
-//! Sizes of vehicles: of each class the segments of its market, with their shares.
+//! Sizes of vehicles: the market segments of each class, with their shares.
 //!
-//! A class of a detector is no normal distribution: `car` goes from two-seaters to vans. Cars of one segment are alike,
-//! and their proportions say which segment a car is of.
+//! The sizes of a detector's class are not normally distributed: `car` ranges from two-seaters to vans. Cars of one
+//! segment are alike, and the proportions of a car indicate its segment.
 
 use super::VehicleClass;
 
-/// Vehicles of about one size.
+/// Vehicles of similar size.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Segment {
     /// Share of the class.
@@ -16,16 +16,16 @@ pub(super) struct Segment {
     pub(super) spread: [f64; 3],
 }
 
-/// Within a segment of cars. Models of one year differ by 2.3, 1.5 and 2.7 %; older ones and those of other markets
-/// differ by more. With these, 67 to 78 % of the models are within one deviation when each is left out in turn.
+/// Standard deviations within a segment of cars. Models of one year differ by 2.3, 1.5 and 2.7 %; older ones and those
+/// of other markets differ by more. With these, 67 to 78 % of the models are within one σ in leave-one-out tests.
 const CARS: [f64; 3] = [0.05, 0.03, 0.04];
 
 const fn cars(share: f64, median_m: [f64; 3]) -> Segment {
     Segment { share, median_m, spread: CARS }
 }
 
-/// Means of models that sell well in Europe, right to about a per cent, and shares of registrations; which ones they
-/// are is in `docs/maths/metric.md`.
+/// Means of models that sell well in Europe, accurate to about a per cent, and shares of registrations;
+/// `docs/maths/metric.md` lists the models.
 const CAR: [Segment; 10] = [
     cars(0.01, [2.67, 1.52, 1.51]), // two seats
     cars(0.08, [3.59, 1.63, 1.49]), // city cars
@@ -39,14 +39,14 @@ const CAR: [Segment; 10] = [
     cars(0.06, [5.06, 1.94, 1.97]), // vans
 ];
 
-/// From delivery trucks of 5 m to the 16.5 m of Directive 96/53/EC.
+/// Trucks, from delivery trucks of 5 m to the 16.5 m of Directive 96/53/EC.
 const TRUCK: [Segment; 11] = or_car([6.9, 2.45, 2.9], [0.35, 0.10, 0.22]);
 
 /// Buses and coaches.
 const BUS: [Segment; 11] = or_car([11.2, 2.55, 3.3], [0.20, 0.06, 0.13]);
 
-/// A class of large vehicles as a detector labels it: as often a car. All eight vehicles of rendered sequences that
-/// were labelled `bus` are vans and cars.
+/// A detector's class of large vehicles, of which half are cars. All eight vehicles of rendered sequences that were
+/// labelled `bus` are vans and cars.
 const fn or_car(median_m: [f64; 3], spread: [f64; 3]) -> [Segment; 11] {
     let mut segments = [Segment { share: 0.5, median_m, spread }; 11];
     let mut k = 0;
@@ -70,7 +70,7 @@ pub(super) fn of(class: VehicleClass) -> &'static [Segment] {
     }
 }
 
-/// The part of a class that is cars: those that a detector takes for large vehicles.
+/// Cars among a class of large vehicles: those that a detector mislabels.
 pub(super) fn cars_among(class: VehicleClass) -> &'static [Segment] {
     match class {
         VehicleClass::Truck => &TRUCK[1..],

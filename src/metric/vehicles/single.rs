@@ -8,11 +8,11 @@ use super::{Extent, SHARED_BY_PLACE, SHARED_BY_VEHICLE, UNCONFIRMED};
 /// Joint estimate from the extents of one vehicle.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct SizeEstimate {
-    /// Which vehicle.
+    /// Id of the vehicle.
     pub(super) vehicle: u32,
     /// Logarithm of metres per unit.
     pub(super) log_scale: f64,
-    /// Its standard deviation, without what all vehicles of a place have in common and without [`UNCONFIRMED`].
+    /// Its standard deviation, without the common part of all vehicles of a location and without [`UNCONFIRMED`].
     pub(super) std: f64,
     /// True if nothing confirms its measurement: no proportions, or an unconfirmed trajectory.
     pub(super) is_unconfirmed: bool,
@@ -42,7 +42,7 @@ struct Member {
     chi2: f64,
 }
 
-/// The answer of one vehicle; `None` without extents. All extents are positive and finite.
+/// Estimate of one vehicle; `None` without extents. All extents are positive and finite.
 pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
     let first = extents.first()?;
     let members: Vec<Member> = segments::of(first.class).iter().filter_map(|s| member(s, extents)).collect();
@@ -56,7 +56,7 @@ pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
     let spread = mean(&|m| m.variance + (m.log_scale - log_scale).powi(2));
     let chi2 = members.iter().map(|m| m.chi2).fold(f64::INFINITY, f64::min);
     let freedom = extents.len().saturating_sub(1).max(1) as f64;
-    // Proportions that differ by more than the deviations explain make the answer less sure (Birge).
+    // Proportions that differ by more than their standard deviations widen the estimate (Birge).
     let variance = spread * (chi2 / freedom).max(1.0) + first.ratio_std.powi(2);
     let num_extents = extents.len();
     let answer = SizeEstimate {
@@ -70,8 +70,8 @@ pub(super) fn answer(extents: &[Extent]) -> Option<SizeEstimate> {
     [answer.log_scale, answer.std, answer.misfit].iter().all(|x| x.is_finite()).then_some(answer)
 }
 
-/// Probability that a vehicle that is labeled as a large one is a car, by its extents and meters per unit from other
-/// sources (logarithm and standard deviation).
+/// Probability that a vehicle labeled as a large one is a car, by its extents and the meters per unit of other sources
+/// (logarithm and standard deviation).
 pub(super) fn probability_of_car(extents: &[Extent], known: Option<(f64, f64)>) -> f64 {
     let Some(first) = extents.first() else { return 0.0 };
     let unconfirmed = if extents.len() == 1 || first.is_unconfirmed { UNCONFIRMED } else { 0.0 };

@@ -13,15 +13,15 @@ use crate::math::upper_median;
 use crate::networks::PerceptionError;
 use crate::scene::{BoundingBox, Flow, Rect};
 
-/// DIS divides its input by powers of two and fails below this side.
+/// Minimum side of the input, pixels: DIS divides its input by powers of two and fails below this.
 const MIN_SIDE: u32 = 32;
-/// Longer side of an object in the estimate, pixels. Masks that were carried through six frames of seven rendered
-/// sequences (objects of 20 to 170 px) had an overlap of 0.81 with the truth with 48 px, 0.83 with 64 and 96, and 0.82
-/// with 128 and 192; in frames of 960 px, whatever the size of the object, 0.68 (a prototype in Python, same calls).
+/// Longer side of an object at the resolution of the estimate, pixels. Masks propagated through six frames of seven
+/// rendered sequences (objects of 20 to 170 px) had an overlap of 0.81 with the truth with 48 px, 0.83 with 64 and 96,
+/// and 0.82 with 128 and 192; in frames of 960 px, for any size of the object, 0.68 (Python prototype, same calls).
 const OBJECT_PX: f64 = 64.0;
-/// Largest enlargement: of less than 20 pixels there is no more to see.
+/// Maximum magnification: objects of less than 20 pixels have no further detail.
 const MAX_ENLARGEMENT: f64 = 3.0;
-/// Longer side of the whole frame, pixels, in which the motion is found that the object and its surroundings share: a
+/// Longer side of the frame, pixels, at which the common motion of an object and its surroundings is estimated: a
 /// quarter of the cost of 512; not varied.
 const FRAME_PX: u32 = 256;
 
@@ -31,7 +31,7 @@ pub struct DisFlow {
 }
 
 impl DisFlow {
-    /// Sets the algorithm up.
+    /// Creates the algorithm.
     ///
     /// # Errors
     /// [`PerceptionError::OpenCv`] if OpenCV cannot.
@@ -51,14 +51,14 @@ impl DisFlow {
         Ok(Field::from_pairs(flow.cols() as usize, flow.rows() as usize, pairs))
     }
 
-    /// The flow of the whole frame, coarsely.
+    /// Coarse flow of the whole frame.
     fn common(&mut self, from: &GrayImage, to: &GrayImage) -> Result<Field, PerceptionError> {
         let (width, height) = scale_to_fit(from.width(), from.height(), FRAME_PX);
         let small = |image| resize_gray(image, width.max(MIN_SIDE), height.max(MIN_SIDE));
         self.estimate(&small(from)?, &small(to)?)
     }
 
-    /// The flow in and around a box.
+    /// Flow in and around a box.
     fn around(
         &mut self,
         rect: &Rect,
@@ -108,14 +108,14 @@ impl FlowEstimator for DisFlow {
         }
         let (from, to) = (gray_from_rgb(from)?, gray_from_rgb(to)?);
         let common = self.common(&from, &to)?;
-        // Where boxes overlap, the smaller one is the nearer to its own scale.
+        // Where boxes overlap, the flow of the smaller one is at the more suitable scale.
         let mut boxes = boxes.to_vec();
         boxes.sort_by(|a, b| b.area_px2().total_cmp(&a.area_px2()));
         let mut found = Vec::new();
         for rect in &boxes {
             found.extend(self.around(rect, &common, &from, &to)?.map(|part| (rect, part)));
         }
-        // Surroundings of one box may be the inside of another.
+        // The margin of one box may overlap another box.
         for (_, part) in &found {
             part.put(&mut flow, &part.part.bounds);
         }
@@ -126,7 +126,7 @@ impl FlowEstimator for DisFlow {
     }
 }
 
-/// The pixels of a box.
+/// Smallest pixel rectangle that covers a box.
 fn covering(rect: &Rect) -> BoundingBox {
     let [x0, y0] = [rect.x0, rect.y0].map(|at| at.floor().max(0.0) as u32);
     let [x1, y1] = [rect.x1, rect.y1].map(|at| at.ceil().max(0.0) as u32);
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn flow_is_found_near_boxes_and_nowhere_else() {
+    fn flow_is_estimated_near_boxes_only() {
         let (from, to) = (texture(400, 300, 0.0, 0.0), texture(400, 300, 3.0, -2.0));
         let flow = dis().flow(&from, &to, &[rect(60.0, 60.0, 60.0, 50.0), rect(20.0, 200.0, 15.0, 12.0)]).unwrap();
         for (x, y) in [(90, 85), (27, 205)] {

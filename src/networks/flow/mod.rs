@@ -1,9 +1,9 @@
 //! Dense optical flow between two frames, with a forward-backward check.
 //!
 //! Both estimators compute the flow from the first frame to the second and from the second to the first. A pixel is
-//! consistent if going there and back ends near where it began: |f + b|² ≤ α (|f|² + |b|²) + β (Sundaram, Brox and
-//! Keutzer, *Dense point trajectories by GPU-accelerated large displacement optical flow*, 2010). What gets occluded,
-//! leaves the frame or is matched wrongly fails.
+//! consistent if forward and backward flow cancel: |f + b|² ≤ α (|f|² + |b|²) + β (Sundaram, Brox and Keutzer, *Dense
+//! point trajectories by GPU-accelerated large displacement optical flow*, 2010). Pixels that become occluded, leave
+//! the frame or are matched wrongly fail this check.
 
 mod dis;
 mod network;
@@ -21,28 +21,28 @@ use super::tensor::Between;
 use crate::ffi::onnx::Resources;
 use crate::scene::{BoundingBox, Flow, Rect};
 
-/// Estimates where the pixels of one frame lie in another.
+/// Estimator of the displacement of pixels between two frames.
 pub trait FlowEstimator {
-    /// The flow from one frame to another of the same size in and near some boxes of the first, at their size.
-    /// Elsewhere it may be left out: no pixel is consistent there.
+    /// Computes the flow from one frame to another of the same size in and near some boxes of the first, at frame size.
+    /// Elsewhere it may be skipped: no pixel is consistent there.
     ///
     /// # Errors
-    /// [`PerceptionError::SizeMismatch`] if the frames differ in size; whatever the estimator runs into.
+    /// [`PerceptionError::SizeMismatch`] if the frames differ in size; errors of the estimator.
     fn flow(&mut self, from: &RgbImage, to: &RgbImage, boxes: &[Rect]) -> Result<Flow, PerceptionError>;
 }
 
-/// Longer side at which a flow network takes frames, pixels; larger ones are shrunk. The flow is given at full size.
+/// Maximum longer side of a flow network's input, pixels; larger frames are shrunk. The flow has the frame's size.
 const MAX_DIMENSION: u32 = 960;
-/// Share α of the squared lengths of both flows that the way there and back may miss by.
+/// Relative tolerance α of the forward-backward check, as a share of the squared lengths of both flows.
 const CONSISTENCY_RELATIVE: f32 = 0.01;
-/// Squared pixels β, at the size of the estimate, that the way there and back may miss by in any case.
+/// Absolute tolerance β of the forward-backward check, squared pixels at the size of the estimate.
 const CONSISTENCY_ABSOLUTE_PX2: f32 = 0.5;
 
-/// The flow estimator: a network if one is given, otherwise OpenCV's DIS. `resources` is what a network may take, or
-/// a number of threads; 0 is one per core.
+/// Loads the flow estimator: a network if one is given, otherwise OpenCV's DIS. `resources` is the resource limit of a
+/// network, or a number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::UnknownLayout`] if the network does not take two images and give a flow field.
+/// [`PerceptionError::UnknownLayout`] if the network does not have two input images and an output flow field.
 pub fn load_flow(
     network: Option<&Path>,
     resources: impl Into<Resources>,
@@ -53,7 +53,7 @@ pub fn load_flow(
     }
 }
 
-/// Refuses frames of different sizes.
+/// Rejects frames of different sizes.
 fn check_sizes(from: &RgbImage, to: &RgbImage) -> Result<(), PerceptionError> {
     if from.dimensions() == to.dimensions() {
         return Ok(());
@@ -83,7 +83,7 @@ impl Field {
     }
 }
 
-/// Where the way there and back ends near its start.
+/// Pixels that pass the forward-backward check.
 fn consistent(forward: &Field, backward: &Field) -> Vec<bool> {
     let mut out = Vec::with_capacity(forward.dx.len());
     for y in 0..forward.height {
@@ -105,7 +105,7 @@ fn consistent(forward: &Field, backward: &Field) -> Vec<bool> {
     out
 }
 
-/// A flow at the frame's size from an estimate at another.
+/// Resizes an estimated flow to the frame's size.
 fn at_frame_size(forward: Field, consistent: Vec<bool>, size @ (width, height): (u32, u32)) -> Flow {
     let bounds = BoundingBox { x0: 0, y0: 0, x1: width, y1: height };
     let mut flow = nothing(size);
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn what_comes_back_is_consistent_and_what_leaves_is_not() {
+    fn pixels_in_both_frames_are_consistent_and_leaving_ones_are_not() {
         let ok = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [-2.0, 0.0]));
         assert_eq!(ok[..8], [true, true, true, true, true, true, false, false]);
         let bad = consistent(&uniform(8, 4, [2.0, 0.0]), &uniform(8, 4, [0.0, 0.0]));

@@ -1,4 +1,4 @@
-//! A flow network: two images in, one flow field out, as RAFT and its kin.
+//! Optical flow networks with two input images and one flow field, such as RAFT.
 
 use std::path::Path;
 
@@ -13,14 +13,14 @@ use crate::networks::description::{Preprocessing, description_of};
 use crate::networks::tensor::{input_size, size_in_steps, tensor_from_image};
 use crate::scene::{Flow, Rect};
 
-/// RAFT's correlation pyramid has four levels, so sides below this leave nothing at its top.
+/// Minimum side of the input, pixels: below it the top of RAFT's four-level correlation pyramid is empty.
 const MIN_SIDE: u32 = 128;
 
-/// A flow network, ready to run.
+/// A loaded flow network.
 pub struct OnnxFlow {
     model: Model,
     preprocessing: Preprocessing,
-    /// The output that holds the flow: the last that can, which is the finest of RAFT's iterations.
+    /// Index of the flow output: the last of matching shape, which is RAFT's final iteration.
     output_idx: usize,
 }
 
@@ -34,11 +34,11 @@ fn is_flow(tensor: &TensorInfo) -> bool {
 
 impl OnnxFlow {
     /// Loads a network with two inputs [1, 3, h, w] and an output [1, 2, h, w] of displacements in x and y, in pixels
-    /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description next to it says
-    /// otherwise. `resources` is what it may take, or a number of threads; 0 is one per core.
+    /// of the input. Pixels become RGB between -1 and 1 (torchvision's RAFT) unless a description next to it overrides
+    /// this. `resources` is its resource limit, or a number of threads; 0 is one per core.
     ///
     /// # Errors
-    /// [`PerceptionError::UnknownLayout`] if inputs and outputs are others.
+    /// [`PerceptionError::UnknownLayout`] if inputs and outputs differ from these.
     pub fn load(path: &Path, resources: impl Into<Resources>) -> Result<Self, PerceptionError> {
         let model = Model::load(path, resources)?;
         let output_idx = model.outputs().iter().rposition(is_flow);

@@ -1,4 +1,4 @@
-//! The parts of a frame in which flow is needed: boxes with room around them.
+//! Regions of a frame in which flow is needed: boxes with a margin.
 
 use ::image::GrayImage;
 use ::image::imageops::crop_imm;
@@ -6,22 +6,22 @@ use ::image::imageops::crop_imm;
 use super::Field;
 use crate::scene::{BoundingBox, Flow, Rect};
 
-/// Room around a box, in its longer sides: for its own motion, and for what may come before it.
+/// Margin around a box, in its longer sides: for its own motion, and for objects that may occlude it.
 const ROOM: f64 = 0.5;
-/// Smallest part, pixels: less shows no motion.
+/// Minimum side of a region, pixels: smaller ones show no motion.
 const MIN_SIDE: u32 = 8;
 
-/// A box with room around it, and where it is expected in the next frame.
+/// A box with a margin, and its predicted displacement to the next frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Part {
-    /// In the first frame.
+    /// Region in the first frame.
     pub(super) bounds: BoundingBox,
-    /// From there to the next frame, pixels.
+    /// Displacement from there to the next frame, pixels.
     pub(super) shift: [i32; 2],
 }
 
 impl Part {
-    /// The part of a box whose pixels move by about `shift`; `None` where nothing of it is in both frames.
+    /// Region of a box whose pixels move by about `shift`; `None` where it is not visible in both frames.
     pub(super) fn of(rect: &Rect, shift: [i32; 2], (width, height): (u32, u32)) -> Option<Self> {
         let room = ROOM * rect.width().max(rect.height());
         let side = |from: f64, to: f64, shift: i32, limit: u32| {
@@ -35,13 +35,13 @@ impl Part {
         Some(Self { bounds: BoundingBox { x0, y0, x1, y1 }, shift })
     }
 
-    /// Its pixels in the first frame.
+    /// Crop of the first frame.
     pub(super) fn cut(&self, from: &GrayImage) -> GrayImage {
         let BoundingBox { x0, y0, .. } = self.bounds;
         crop_imm(from, x0, y0, self.bounds.width(), self.bounds.height()).to_image()
     }
 
-    /// Those in the next frame at the same place and the shift.
+    /// Crop of the next frame, displaced by the shift.
     pub(super) fn cut_shifted(&self, to: &GrayImage) -> GrayImage {
         let moved = |at: u32, by: i32| (i64::from(at) + i64::from(by)) as u32;
         let (x, y) = (moved(self.bounds.x0, self.shift[0]), moved(self.bounds.y0, self.shift[1]));
@@ -49,7 +49,7 @@ impl Part {
     }
 }
 
-/// Flow of a part, besides its shift, at any size.
+/// Flow of a region relative to its shift, at any resolution.
 pub(super) struct PartFlow {
     pub(super) part: Part,
     pub(super) forward: Field,
@@ -57,7 +57,7 @@ pub(super) struct PartFlow {
 }
 
 impl PartFlow {
-    /// Puts the flow of an area into that of the frame, as far as the part has it.
+    /// Writes the flow of an area into that of the frame, as far as the region covers it.
     pub(super) fn put(&self, flow: &mut Flow, area: &BoundingBox) {
         let (Self { part: Part { bounds, shift }, forward, consistent }, width) = (self, flow.width as usize);
         let per_x = forward.width as f32 / bounds.width() as f32;

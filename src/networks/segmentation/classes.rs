@@ -19,10 +19,10 @@ const COCO: &str = "\
 /// Number of COCO's classes.
 const NUM_COCO: usize = 80;
 
-/// Numbers that COCO's own annotations leave out; torchvision counts by these.
+/// Class numbers missing in COCO's own annotations; torchvision uses that numbering.
 const NOT_IN_COCO: [usize; 10] = [12, 26, 29, 30, 45, 66, 68, 69, 71, 83];
 
-/// Class names by number, and which of them are reported.
+/// Class names by number, with flags of the reported ones.
 pub(super) struct Classes {
     pub(super) names: Vec<String>,
     pub(super) wanted: Vec<bool>,
@@ -40,7 +40,7 @@ impl Classes {
         Err(PerceptionError::NoWantedClass { path, wanted: wanted.to_vec(), found: names })
     }
 
-    /// Objects under the names of their classes.
+    /// Converts candidates to detections with class names.
     pub(super) fn detections<M>(&self, found: Vec<(Candidate<M>, Mask)>) -> Vec<Detection> {
         let detection = |(candidate, mask): (Candidate<M>, Mask)| {
             let class = self.names[candidate.class_idx].clone();
@@ -50,8 +50,8 @@ impl Classes {
     }
 }
 
-/// The names of a network whose file does not say how many there are, number 0 being the background: from the file
-/// next to it, else from its metadata, else COCO's as torchvision numbers them.
+/// Class names of a network with an unknown number of classes, number 0 being the background: from the file next to it,
+/// else from its metadata, else COCO's in torchvision's numbering.
 pub(super) fn class_names_after_background(model: &Model) -> Result<Vec<String>, PerceptionError> {
     Ok(stated_names(model, |names| !names.is_empty())?.unwrap_or_else(coco_after_background))
 }
@@ -67,8 +67,8 @@ fn coco_after_background() -> Vec<String> {
     names
 }
 
-/// The names of a network's `num_classes` classes: from the file next to it, else from its metadata, else those of COCO
-/// if their number is 80.
+/// Names of a network's `num_classes` classes: from the file next to it, else from its metadata, else those of COCO if
+/// their number is 80.
 ///
 /// # Errors
 /// [`PerceptionError::NoClassNames`] if none of these gives as many names as there are classes.
@@ -82,13 +82,13 @@ pub(super) fn class_names(model: &Model, num_classes: usize) -> Result<Vec<Strin
     })
 }
 
-/// The names that the file next to a network gives, else those of its metadata; each only if they fit.
+/// Names from the file next to a network, else from its metadata; each only if they fit.
 fn stated_names(model: &Model, fit: impl Fn(&Vec<String>) -> bool) -> Result<Option<Vec<String>>, PerceptionError> {
     let beside = read_sidecar(model.path())?.map(|description| description.classes).filter(&fit);
     Ok(beside.or_else(|| parse_names(&model.metadata("names")?).filter(&fit)))
 }
 
-/// Reads names as exporters write them: `{0: 'person', 1: "driver's seat"}` or `['person', 'car']`.
+/// Parses names in the format of exporters: `{0: 'person', 1: "driver's seat"}` or `['person', 'car']`.
 ///
 /// Returns the quoted strings by number; `None` unless the numbers are 0, 1, 2, ...
 fn parse_names(text: &str) -> Option<Vec<String>> {
@@ -109,7 +109,7 @@ fn parse_names(text: &str) -> Option<Vec<String>> {
     Some(names)
 }
 
-/// The text up to the closing quote, without its escapes, and what follows it.
+/// Splits at the closing quote: the text before it, without its escapes, and the rest.
 fn quoted(text: &str, quote: char) -> Option<(String, &str)> {
     let mut name = String::new();
     let mut chars = text.char_indices();

@@ -36,7 +36,7 @@ impl Default for DetectorOptions {
 }
 
 impl DetectorOptions {
-    /// Refuses values that make no sense.
+    /// Rejects invalid values.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -46,7 +46,7 @@ impl DetectorOptions {
         some_of("classes", &self.classes)?;
         within("input_size", self.input_size, INPUT_SIZES)?;
         some_of("scales", &self.scales)?;
-        // At most so many looks at one frame.
+        // Limits the number of network runs per frame.
         within("scales", self.scales.len(), 1..=8)?;
         self.scales.iter().try_for_each(|&scale| within("scales", scale, 0.1..=1.0))
     }

@@ -1,4 +1,4 @@
-//! Placing a view of the frame in a network's input without changing its aspect.
+//! Letterboxing: fits a view of the frame into a network's input at constant aspect ratio.
 
 use std::borrow::Cow;
 
@@ -8,16 +8,16 @@ use super::tiles::Tile;
 use crate::image::{ImageError, resize_rgb_quickly};
 use crate::networks::tensor::PAD;
 
-/// Where the view is put in an input that it does not fill.
+/// Alignment of the view in an input that it does not fill.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Anchor {
-    /// As much grey on one side as on the other.
+    /// Equal grey margins on opposite sides.
     Centre,
     /// All grey to the right and below.
     TopLeft,
 }
 
-/// Where a view lies in the network's input: `input = (frame - origin) * scale + pad`, per axis.
+/// Transform from a view to the network's input: `input = (frame - origin) * scale + pad`, per axis.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Letterbox {
     origin: [f32; 2],
@@ -26,13 +26,13 @@ pub(super) struct Letterbox {
 }
 
 impl Letterbox {
-    /// Cuts `view` out of the frame and fits it into the middle of `input` (width, height); gives the input's pixels as
-    /// well.
+    /// Crops `view` from the frame and fits it into the middle of `input` (width, height); returns the input's pixels,
+    /// too.
     pub(super) fn place(frame: &RgbImage, view: Tile, input: (u32, u32)) -> Result<(Self, RgbImage), ImageError> {
         Self::place_at(frame, view, input, Anchor::Centre)
     }
 
-    /// As [`Self::place`], at any place of the input.
+    /// As [`Self::place`], at a given alignment in the input.
     pub(super) fn place_at(
         frame: &RgbImage,
         view: Tile,
@@ -61,18 +61,18 @@ impl Letterbox {
         Ok((boxed, image))
     }
 
-    /// A position in the frame, as a position in the input.
+    /// Transforms a position in the frame to the input.
     pub(super) fn input_from_frame(&self, x: f32, y: f32) -> [f32; 2] {
         [(x - self.origin[0]) * self.scale[0] + self.pad[0], (y - self.origin[1]) * self.scale[1] + self.pad[1]]
     }
 
-    /// A position in the input, as a position in the frame.
+    /// Transforms a position in the input to the frame.
     pub(super) fn frame_from_input(&self, x: f32, y: f32) -> [f32; 2] {
         [(x - self.pad[0]) / self.scale[0] + self.origin[0], (y - self.pad[1]) / self.scale[1] + self.origin[1]]
     }
 }
 
-/// The size at which a picture just fits into an input, both (width, height).
+/// Largest size at which an image fits into an input, both (width, height).
 pub(super) fn fitted((width, height): (u32, u32), input: (u32, u32)) -> (u32, u32) {
     let ratio = f64::min(f64::from(input.0) / f64::from(width.max(1)), f64::from(input.1) / f64::from(height.max(1)));
     let fit = |side: u32, limit: u32| ((f64::from(side) * ratio).round() as u32).clamp(1, limit.max(1));

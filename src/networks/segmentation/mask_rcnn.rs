@@ -1,12 +1,12 @@
 //! Mask R-CNN as torchvision exports it (He, Gkioxari, Dollár, Girshick, 2017).
 //!
-//! In: one image [3, h, w] or [1, 3, h, w], RGB between 0 and 1; the network scales it by itself, so that open sides
-//! take the frame as it is. Out, in any order: boxes [n, 4] (corners in input pixels), labels [n] (0 is the
-//! background), scores [n] and masks of probabilities. These are either [n, 1, m, m], each spread over its box, or
+//! Input: one image [3, h, w] or [1, 3, h, w], RGB between 0 and 1; the network scales it itself, so inputs of free
+//! size take the frame at its own. Outputs, in any order: boxes [n, 4] (corners in input pixels), labels [n] (0 is the
+//! background), scores [n] and masks of probabilities. These are either [n, 1, m, m], each relative to its box, or
 //! pasted into the input, [n, 1, h, w]. An object's mask is where the probability, interpolated at the frame's pixels,
 //! exceeds one half.
 //!
-//! Next to its box a spread mask is 0, and it is interpolated towards that, as torchvision does
+//! Outside its box a relative mask is 0, and it is interpolated towards that, as torchvision does
 //! (`paste_masks_in_image`); torchvision's boxes are whole pixels there, which makes its masks larger by up to a pixel.
 
 use ::image::RgbImage;
@@ -22,10 +22,10 @@ use crate::networks::description::{Preprocessing, sidecar_path};
 use crate::networks::tensor::{Plane, input_size, tensor_from_image};
 use crate::scene::{Detection, Mask};
 
-/// A pasted mask ends within this share of its box's sides next to the box (one cell of 28), and one pixel.
+/// Margin of a pasted mask beyond its box, as a share of the box's sides (one cell of 28), in addition to one pixel.
 const PASTED_MARGIN: f32 = 1.0 / 28.0;
 
-/// Which output is what, if a network's inputs and outputs are those of the family.
+/// Indices of the outputs, if a network's inputs and outputs are those of the family.
 pub(super) fn recognise(model: &Model) -> Option<OutputIndices> {
     let [input] = model.inputs() else { return None };
     let is_image = match input.shape[..] {
@@ -36,7 +36,7 @@ pub(super) fn recognise(model: &Model) -> Option<OutputIndices> {
     OutputIndices::find(model.outputs()).filter(|_| is_image)
 }
 
-/// Which output is what.
+/// Indices of the four outputs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct OutputIndices {
     boxes: usize,
@@ -46,7 +46,7 @@ pub(super) struct OutputIndices {
 }
 
 impl OutputIndices {
-    /// Finds the four outputs by their ranks and number types; `None` unless each is there once.
+    /// Finds the four outputs by their ranks and number types; `None` unless each occurs once.
     fn find(outputs: &[TensorInfo]) -> Option<Self> {
         let only = |fits: &dyn Fn(&TensorInfo) -> bool| {
             let mut places = (0..outputs.len()).filter(|&k| fits(&outputs[k]));
@@ -63,7 +63,7 @@ impl OutputIndices {
     }
 }
 
-/// A network of the family, ready to run.
+/// A loaded network of the family.
 pub(super) struct MaskRcnn {
     model: Model,
     options: SegmentationOptions,
@@ -91,8 +91,8 @@ impl MaskRcnn {
         Ok(Self { model, options: options.clone(), places, classes })
     }
 
-    /// Runs the network on one view. Sides of the input that it leaves open are the frame's.
-    fn look(&mut self, pixels: &RgbImage) -> Result<CheckedOutputs, PerceptionError> {
+    /// Runs the network on one view. Free sides of its input are those of the frame.
+    fn infer(&mut self, pixels: &RgbImage) -> Result<CheckedOutputs, PerceptionError> {
         let mut input = tensor_from_image(pixels, &Preprocessing::default());
         if self.model.inputs()[0].shape.len() == 3 {
             input.shape.remove(0);
@@ -108,24 +108,24 @@ impl Segmenter for MaskRcnn {
     fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError> {
         let (frame, options) = (image.dimensions(), self.options.clone());
         let input = input_size(&self.model, frame);
-        let look = |pixels: &RgbImage| {
-            let answer = self.look(pixels)?;
+        let infer = |pixels: &RgbImage| {
+            let answer = self.infer(pixels)?;
             Ok((answer.candidates(&self.classes.wanted, options.confidence as f32), answer))
         };
         let mask = |candidate: &Candidate<usize>, boxed: &_, answer: &CheckedOutputs| {
             answer.mask(candidate.mask, boxed, frame)
         };
-        let found = segment_views(image, input, &options, look, mask)?;
+        let found = segment_views(image, input, &options, infer, mask)?;
         Ok(self.classes.detections(found))
     }
 }
 
-/// Where a mask's values lie.
+/// Extent of a mask's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Spread {
-    /// Over the object's box.
+    /// The object's box.
     Box,
-    /// Over the whole input.
+    /// The whole input.
     Input,
 }
 
@@ -144,7 +144,7 @@ struct CheckedOutputs {
 }
 
 impl CheckedOutputs {
-    /// Takes a run's outputs; an error is the shape at fault and what was expected.
+    /// Checks the shapes of a run's outputs; an error is the shape at fault and the expected one.
     fn new(
         mut outputs: Vec<Tensor>,
         places: OutputIndices,
@@ -173,7 +173,7 @@ impl CheckedOutputs {
         Ok(Self { boxes, labels, scores: scores.values, masks, spread })
     }
 
-    /// The objects whose class is wanted and sure enough, with their row.
+    /// Objects of wanted classes with sufficient score, with their rows.
     fn candidates(&self, wanted: &[bool], min_confidence: f32) -> Vec<Candidate<usize>> {
         let sure = |&row: &usize| {
             self.scores[row] >= min_confidence
@@ -195,7 +195,7 @@ impl CheckedOutputs {
         std::array::from_fn(|k| self.boxes.values[4 * row + k])
     }
 
-    /// The pixels of an object: those in its box, and a cell next to it, whose centre has a value above one half.
+    /// Mask of an object: pixels in its box and a margin of one cell whose centres have a value above one half.
     fn mask(&self, row: usize, boxed: &Letterbox, frame: (u32, u32)) -> Mask {
         let (height, width) = (self.masks.shape[2], self.masks.shape[3]);
         let values = &self.masks.values[row * height * width..(row + 1) * height * width];
@@ -220,7 +220,7 @@ impl CheckedOutputs {
     }
 }
 
-/// The frame's pixels in a box of the input whose centres, as positions in the input, are the object's.
+/// Mask of the frame's pixels in a box of the input whose centres, as positions in the input, belong to the object.
 fn pixels_of(
     [x0, y0, x1, y1]: [f32; 4],
     boxed: &Letterbox,
@@ -234,7 +234,7 @@ fn pixels_of(
     })
 }
 
-/// The values with a cell of zeros on every side.
+/// Pads the values with a cell of zeros on every side.
 fn with_border(values: &[f32], width: usize, height: usize) -> Vec<f32> {
     let mut padded = vec![0.0; (width + 2) * (height + 2)];
     for (target, row) in padded.chunks_exact_mut(width + 2).skip(1).zip(values.chunks_exact(width)) {
@@ -292,7 +292,7 @@ mod tests {
         // border between the cells.
         let bounds = found.bounding_box().unwrap();
         assert_eq!((bounds.x0, bounds.y0, bounds.x1, bounds.y1), (16, 8, 32, 24));
-        // Interpolated towards nothing on two sides, a corner is rounded.
+        // Interpolated towards zero on two sides, a corner is rounded.
         assert_eq!(found.area_px2(), 232);
         assert!(!found.get(16, 8) && found.get(16, 12) && found.get(20, 8));
     }
@@ -311,7 +311,7 @@ mod tests {
     }
 
     #[test]
-    fn only_wanted_and_sure_objects_count() {
+    fn only_wanted_objects_with_sufficient_score_count() {
         let found = answer(Tensor::zeros(&[1, 1, 2, 2])).unwrap();
         assert_eq!(found.candidates(&[false, false, false, true], 0.5).len(), 1);
         assert_eq!(found.candidates(&[false, false, false, true], 0.95).len(), 0);

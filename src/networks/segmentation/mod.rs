@@ -27,15 +27,15 @@ use crate::checks::{Checked, some_of, within};
 use crate::ffi::onnx::{Model, Resources};
 use crate::scene::{Detection, Mask};
 
-/// At most this many objects per frame, the best ones: a bound on memory for networks that fire everywhere.
+/// Maximum number of objects per frame, by score: bounds memory for networks with many false detections.
 const MAX_OBJECTS: usize = 300;
 
-/// Finds the movable objects of a frame.
+/// Instance segmentation of the movable objects of a frame.
 pub trait Segmenter {
-    /// The objects found in `image`, each with a mask of the image's size; highest confidence first.
+    /// Segments the objects of `image`, each with a mask of the image's size; highest confidence first.
     ///
     /// # Errors
-    /// When the network cannot be run or answers in a shape that its family does not allow.
+    /// The network cannot be run or its output has a shape that its family does not allow.
     fn segment(&mut self, image: &RgbImage) -> Result<Vec<Detection>, PerceptionError>;
 }
 
@@ -74,7 +74,7 @@ pub struct SegmentationOptions {
     pub input_size: u32,
 }
 
-/// Names of everything that moves by itself, in the words of COCO, Cityscapes and the common drone data sets.
+/// Class names of movable objects in COCO, Cityscapes and the common drone data sets.
 fn movable() -> Vec<String> {
     let names = "car truck bus van motorcycle motor motorbike bicycle person pedestrian people rider train tram \
                  tricycle awning-tricycle trailer caravan vehicle boat airplane dog horse cow sheep";
@@ -95,7 +95,7 @@ impl Default for SegmentationOptions {
 }
 
 impl SegmentationOptions {
-    /// Refuses values that make no sense.
+    /// Rejects invalid values.
     ///
     /// # Errors
     /// [`OptionError`](crate::checks::OptionError) names the option.
@@ -108,17 +108,17 @@ impl SegmentationOptions {
     }
 }
 
-/// The objects that a network finds in all views of a frame, each with its mask; highest confidence first.
+/// Runs a network on all views of a frame; returns the objects with their masks, highest confidence first.
 ///
 /// * `input` – width and height of the network's input.
-/// * `look` – runs the network on the pixels of a view; returns candidates with their corners in pixels of the input,
-///   and what their masks are made of.
+/// * `infer` – runs the network on the pixels of a view; returns candidates with their corners in pixels of the input,
+///   and the data of their masks.
 /// * `mask` – makes the mask of a candidate in the frame.
 fn segment_views<M, A>(
     image: &RgbImage,
     input: (u32, u32),
     options: &SegmentationOptions,
-    mut look: impl FnMut(&RgbImage) -> Result<(Vec<Candidate<M>>, A), PerceptionError>,
+    mut infer: impl FnMut(&RgbImage) -> Result<(Vec<Candidate<M>>, A), PerceptionError>,
     mask: impl Fn(&Candidate<M>, &Letterbox, &A) -> Mask,
 ) -> Result<Vec<(Candidate<M>, Mask)>, PerceptionError> {
     if image.is_empty() {
@@ -128,7 +128,7 @@ fn segment_views<M, A>(
     let (mut candidates, mut seen) = (Vec::new(), Vec::new());
     for (view_idx, view) in views(frame, input, options).into_iter().enumerate() {
         let (boxed, pixels) = Letterbox::place(image, view, input)?;
-        let (found, answer) = look(&pixels)?;
+        let (found, answer) = infer(&pixels)?;
         candidates.extend(found.into_iter().map(|c| c.in_frame(&boxed, view, view_idx, frame)));
         seen.push((boxed, answer));
     }
@@ -142,12 +142,13 @@ fn segment_views<M, A>(
     Ok(kept.into_iter().filter_map(with_mask).collect())
 }
 
-/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `resources` is what
-/// it may take, or a number of threads; 0 is one per core.
+/// Loads a network for instance segmentation; its family is recognised from its inputs and outputs. `resources` is its
+/// resource limit, or a number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::UnknownLayout`] lists what was found and what is supported; [`PerceptionError::NoClassNames`] and
-/// [`PerceptionError::NoWantedClass`] say what is wrong with its classes; errors of the runtime say how to get it.
+/// [`PerceptionError::UnknownLayout`] lists the network's layout and the supported ones;
+/// [`PerceptionError::NoClassNames`] and [`PerceptionError::NoWantedClass`] give the problem with its classes; errors
+/// of the runtime name the remedy.
 pub fn load_segmenter(
     path: &Path,
     options: &SegmentationOptions,

@@ -3,16 +3,16 @@
 use super::letterbox::Letterbox;
 use super::tiles::Tile;
 
-/// A box found in one view, in frame pixels; `M` is what its family makes the mask of.
+/// Detected box of one view, in frame pixels; `M` is the data from which its family computes the mask.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Candidate<M> {
     /// x0, y0, x1, y1.
     pub(super) corners: [f32; 4],
     pub(super) class_idx: usize,
     pub(super) confidence: f32,
-    /// True if it ends at a tile's border inside the frame.
+    /// True if it is truncated by a tile's border inside the frame.
     pub(super) cut: bool,
-    /// Index of the view that it was found in.
+    /// Index of the view of the detection.
     pub(super) view_idx: usize,
     /// Data of its mask.
     pub(super) mask: M,
@@ -32,10 +32,10 @@ impl<M> Candidate<M> {
     }
 }
 
-/// A piece that a tile's border cut off is dropped when this much of it lies in another box of its class.
+/// Share of a piece truncated by a tile's border inside another box of its class above which the piece is dropped.
 const MAX_PIECE_COVERED: f32 = 0.6;
 
-/// Keeps the best of overlapping boxes of one class: boxes that no tile cuts go before cut ones, then the higher score.
+/// Keeps the best of overlapping boxes of one class: boxes that no tile truncates first, then by score.
 ///
 /// Returns them with the highest score first.
 pub(super) fn suppress<M>(mut candidates: Vec<Candidate<M>>, max_iou: f32) -> Vec<Candidate<M>> {
@@ -51,7 +51,7 @@ pub(super) fn suppress<M>(mut candidates: Vec<Candidate<M>>, max_iou: f32) -> Ve
     kept
 }
 
-/// Returns true if a candidate shows the same object as one that is kept already.
+/// Returns true if a candidate is a duplicate of a kept one.
 fn repeats<M>(candidate: &Candidate<M>, kept: &Candidate<M>, max_iou: f32) -> bool {
     let both = intersection(candidate.corners, kept.corners);
     let (a, b) = (area(candidate.corners), area(kept.corners));
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cut_piece_gives_way_to_the_whole_object_even_with_a_higher_score() {
+    fn a_truncated_piece_is_suppressed_by_the_whole_object_even_with_a_higher_score() {
         let whole = candidate([0.0, 0.0, 20.0, 10.0], 2, 0.5, false);
         let piece = candidate([0.0, 0.0, 8.0, 10.0], 2, 0.9, true);
         let alone = candidate([50.0, 0.0, 58.0, 10.0], 2, 0.3, true);

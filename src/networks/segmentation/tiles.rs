@@ -1,4 +1,4 @@
-//! The parts of a frame that a network looks at one after the other.
+//! Views of a frame that a network processes one after the other: the whole frame and its tiles.
 
 use super::{SegmentationOptions, Tiling};
 use crate::scene::Mask;
@@ -19,7 +19,7 @@ impl Tile {
     }
 
     /// Returns true if a box (x0, y0, x1, y1) in frame pixels ends at a border of the view that is not one of the
-    /// frame: such an object is truncated, and another view may see more of it.
+    /// frame: such an object is truncated, and another view may contain more of it.
     pub(super) fn cuts(&self, corners: [f32; 4], frame: (u32, u32)) -> bool {
         /// A box within this many pixels of the border ends there.
         const NEAR_PX: f32 = 3.0;
@@ -31,7 +31,7 @@ impl Tile {
     }
 }
 
-/// The whole frame, and the tiles besides that the options ask for.
+/// The whole frame, and the tiles if the options enable tiling.
 pub(super) fn views(frame: (u32, u32), tile: (u32, u32), options: &SegmentationOptions) -> Vec<Tile> {
     let mut views = vec![Tile::whole(frame.0, frame.1)];
     if options.tiling == Tiling::On {
@@ -41,7 +41,7 @@ pub(super) fn views(frame: (u32, u32), tile: (u32, u32), options: &SegmentationO
 }
 
 /// Tiles of at most `tile` pixels that cover the frame with at least the given overlap, evenly spread; empty if one
-/// tile holds the frame, since the whole frame is looked at anyway.
+/// tile contains the frame, since the whole frame is processed in any case.
 fn tiles(frame: (u32, u32), tile: (u32, u32), overlap: f64) -> Vec<Tile> {
     let columns = starts(frame.0, tile.0, overlap);
     let rows = starts(frame.1, tile.1, overlap);
@@ -52,7 +52,7 @@ fn tiles(frame: (u32, u32), tile: (u32, u32), overlap: f64) -> Vec<Tile> {
     rows.iter().flat_map(|&y0| columns.iter().map(move |&x0| Tile { x0, y0, width, height })).collect()
 }
 
-/// First pixels of the fewest tiles along one side.
+/// First pixels of the minimum number of tiles along one side.
 fn starts(side: u32, tile: u32, overlap: f64) -> Vec<u32> {
     if side <= tile || tile == 0 {
         return vec![0];
@@ -62,7 +62,7 @@ fn starts(side: u32, tile: u32, overlap: f64) -> Vec<u32> {
     (0..=gaps as u32).map(|k| (f64::from(side - tile) * f64::from(k) / gaps).round() as u32).collect()
 }
 
-/// The pixels in a box (x0, y0, x1, y1) of a frame whose centres are the object's.
+/// Mask of the pixels in a box (x0, y0, x1, y1) of a frame whose centres belong to the object.
 pub(super) fn mask_in(corners: [f32; 4], frame: (u32, u32), is_object: impl Fn(f32, f32) -> bool) -> Mask {
     let [x0, y0, x1, y1] = corners;
     let inside = |first: f32, last: f32, side: u32| {
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn tiles_cover_the_frame_with_the_overlap_asked_for() {
+    fn tiles_cover_the_frame_with_the_requested_overlap() {
         let all = tiles((1280, 720), (640, 640), 0.2);
         assert_eq!(all.iter().map(|v| v.x0).collect::<Vec<_>>(), [0, 320, 640, 0, 320, 640]);
         assert_eq!(all.iter().map(|v| v.y0).collect::<Vec<_>>(), [0, 0, 0, 80, 80, 80]);

@@ -1,6 +1,6 @@
-//! The YOLO-seg family: YOLOv8-seg, YOLO11-seg and what shares their head.
+//! The YOLO-seg family: YOLOv8-seg, YOLO11-seg and networks with the same head.
 //!
-//! In: one image [1, 3, h, w], RGB between 0 and 1, letterboxed with grey. Out: [1, 4 + C + K, N], per column a box
+//! Input: one image [1, 3, h, w], RGB between 0 and 1, grey letterbox. Output: [1, 4 + C + K, N], per column a box
 //! (centre x, centre y, width, height in input pixels), C class scores after the sigmoid and K mask coefficients; and K
 //! prototype masks [1, K, h / 4, w / 4]. An object's mask is where sigmoid(coefficients · prototypes), interpolated at
 //! the frame's pixels inside its box, exceeds one half.
@@ -35,11 +35,11 @@ pub(super) fn recognise(model: &Model) -> bool {
     three_channels && ranks && room_for_coefficients && columns_are_boxes
 }
 
-/// A network of the family, ready to run.
+/// A loaded network of the family.
 pub(super) struct YoloSeg {
     model: Model,
     options: SegmentationOptions,
-    /// Class names, and which of them are reported; filled by the first run if the network leaves its sides open.
+    /// Class names with flags of the reported ones; set by the first run if the network's input size is free.
     classes: Option<Classes>,
 }
 
@@ -58,8 +58,8 @@ impl YoloSeg {
         Classes::new(&self.model, class_names(&self.model, num_classes)?, &self.options.classes)
     }
 
-    /// Runs the network on one view; gives the raw outputs in the family's order.
-    fn look(&mut self, input: &RgbImage) -> Result<Raw, PerceptionError> {
+    /// Runs the network on one view; returns the raw outputs in the family's order.
+    fn infer(&mut self, input: &RgbImage) -> Result<Raw, PerceptionError> {
         let input = tensor_from_image(input, &Preprocessing::default());
         let outputs = self.model.run(&[input])?;
         let raw = Raw::new(outputs)
@@ -77,13 +77,13 @@ impl Segmenter for YoloSeg {
         let (frame, options) = (image.dimensions(), self.options.clone());
         // 32 is the family's coarsest stride.
         let input = input_size(&self.model, size_in_steps(frame, options.input_size, 32));
-        let look = |pixels: &RgbImage| {
-            let raw = self.look(pixels)?;
+        let infer = |pixels: &RgbImage| {
+            let raw = self.infer(pixels)?;
             let found = |classes: &Classes| raw.candidates(&classes.wanted, options.confidence as f32);
             Ok((self.classes.as_ref().map(found).unwrap_or_default(), raw.prototypes))
         };
         let mask = |candidate: &_, boxed: &_, prototypes: &_| mask_of(candidate, boxed, input, prototypes, frame);
-        let found = segment_views(image, input, &options, look, mask)?;
+        let found = segment_views(image, input, &options, infer, mask)?;
         Ok(self.classes.as_ref().map(|classes| classes.detections(found)).unwrap_or_default())
     }
 }
@@ -97,7 +97,7 @@ struct Raw {
 }
 
 impl Raw {
-    /// Checks the shapes; an error is the shape at fault and what was expected.
+    /// Checks the shapes; an error is the shape at fault and the expected one.
     fn new(outputs: Vec<Tensor>) -> Result<Self, (Vec<usize>, String)> {
         let mut outputs = outputs.into_iter();
         let (Some(boxes), Some(prototypes)) = (outputs.next(), outputs.next()) else {
@@ -119,7 +119,7 @@ impl Raw {
         self.boxes.shape[1] - 4 - self.prototypes.shape[1]
     }
 
-    /// The columns whose best class is wanted and sure enough; corners in input pixels.
+    /// Candidates of wanted classes with sufficient score; corners in input pixels.
     fn candidates(&self, wanted: &[bool], min_confidence: f32) -> Vec<Candidate<Vec<f32>>> {
         let (n, num_classes) = (self.boxes.shape[2], self.num_classes());
         let row = |r: usize| &self.boxes.values[r * n..(r + 1) * n];
@@ -146,7 +146,7 @@ impl Raw {
     }
 }
 
-/// The pixels of an object: those of its box whose centre has a mask value above one half.
+/// Mask of an object: pixels of its box whose centres have a mask value above one half.
 fn mask_of(
     candidate: &Candidate<Vec<f32>>,
     boxed: &Letterbox,
@@ -172,7 +172,7 @@ fn mask_of(
     })
 }
 
-/// The cells that positions between `first` and `last` are interpolated from; never empty.
+/// Cells needed to interpolate positions between `first` and `last`; never empty.
 fn around(first: f32, last: f32, len: usize) -> std::ops::Range<usize> {
     let start = ((first - 1.0).floor().max(0.0) as usize).min(len - 1);
     start..((last + 1.0).ceil().max(0.0) as usize).clamp(start + 1, len)

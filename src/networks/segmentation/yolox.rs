@@ -1,8 +1,8 @@
 //! The YOLOX family of detectors (Ge et al., *YOLOX: Exceeding YOLO Series in 2021*).
 //!
-//! In: one image [1, 3, h, w], blue, green, red between 0 and 255, in the upper left corner, grey beyond. Out:
+//! Input: one image [1, 3, h, w], blue, green, red between 0 and 255, in the upper left corner, grey beyond. Output:
 //! [1, n, 5 + C], one row per cell of three grids with the strides s = 8, 16, 32, the finest first, each row by row.
-//! The row x, y, w, h, o, p₁ ... of the cell in column i and row j says, in pixels of the input: an object with its
+//! The row x, y, w, h, o, p₁ ... of the cell in column i and row j encodes, in pixels of the input, an object with its
 //! centre at (s (i + x), s (j + y)), of the size s eʷ × s eʰ, of class c with the score o · p_c.
 
 use std::borrow::Cow;
@@ -21,19 +21,19 @@ use crate::networks::description::{ChannelOrder, Preprocessing};
 use crate::networks::tensor::{input_size, tensor_from_image};
 use crate::scene::{BoxDetection, DetectionSource, Rect};
 
-/// Sides of a cell in pixels of the input, in the order of the output's rows. Sides of an input that the network leaves
-/// open are multiples of the largest.
+/// Sides of a cell in pixels of the input, in the order of the output's rows. Free sides of an input are multiples of
+/// the largest.
 const STRIDES: [usize; 3] = [8, 16, 32];
-/// Columns of the output before those of the classes.
+/// Number of columns of the output before those of the classes.
 const NUM_BOX_COLUMNS: usize = 5;
 
-/// Loads a network that finds boxes; its family is recognised from its inputs and outputs. `resources` is what it may
-/// take, or a number of threads; 0 is one per core.
+/// Loads a box detector; its family is recognised from its inputs and outputs. `resources` is its resource limit, or a
+/// number of threads; 0 is one per core.
 ///
 /// # Errors
-/// [`PerceptionError::Option`] for options that make no sense; [`PerceptionError::UnknownLayout`] lists what was found
-/// and what is supported; [`PerceptionError::NoClassNames`] and [`PerceptionError::NoWantedClass`] say what is wrong
-/// with its classes; errors of the runtime say how to get it.
+/// [`PerceptionError::Option`] for invalid options; [`PerceptionError::UnknownLayout`] lists the network's layout and
+/// the supported ones; [`PerceptionError::NoClassNames`] and [`PerceptionError::NoWantedClass`] give the problem with
+/// its classes; errors of the runtime name the remedy.
 pub fn load_detector(
     path: &Path,
     options: &DetectorOptions,
@@ -74,7 +74,7 @@ fn num_cells(width: usize, height: usize) -> usize {
     STRIDES.iter().map(|stride| (width / stride) * (height / stride)).sum()
 }
 
-/// A network of the family, ready to run.
+/// A loaded network of the family.
 pub struct Yolox {
     model: Model,
     options: DetectorOptions,
@@ -92,8 +92,8 @@ impl Yolox {
         Ok(Self { model, options: options.clone(), wanted })
     }
 
-    /// Widths and heights of the inputs for a frame: the network's own, or for each scale the smallest that holds the
-    /// frame scaled to the size asked for.
+    /// Widths and heights of the inputs for a frame: the network's own, or for each scale the smallest that contains
+    /// the frame scaled to the requested size.
     fn input_sizes(&self, frame: (u32, u32)) -> Vec<(u32, u32)> {
         let size = |&scale: &f64| {
             let ratio = scale * f64::from(self.options.input_size) / f64::from(frame.0.max(frame.1).max(1));
@@ -108,7 +108,7 @@ impl Yolox {
     }
 
     /// Detects objects in an image at one size of the network's input; boxes in pixels of the frame.
-    fn look_at(
+    fn detect_at(
         &mut self,
         picture: &RgbImage,
         frame: (u32, u32),
@@ -144,17 +144,16 @@ impl Yolox {
     }
 }
 
-/// Returns true if no box has a side below a cell's: logarithms of sides are negative somewhere, sides in pixels
-/// nowhere.
+/// Returns true if the output has sides in pixels rather than their logarithms, some of which would be negative.
 fn is_decoded(output: &Tensor) -> bool {
     output.values.chunks_exact(output.shape[2]).all(|row| row[2] >= 0.0 && row[3] >= 0.0)
 }
 
 impl Yolox {
-    /// The objects found in `image`; highest confidence first.
+    /// Detects the objects of `image`; highest confidence first.
     ///
     /// # Errors
-    /// When the network cannot be run or answers in a shape that its family does not allow.
+    /// The network cannot be run or its output has a shape that its family does not allow.
     pub fn detect(&mut self, image: &RgbImage) -> Result<Vec<BoxDetection>, PerceptionError> {
         let frame = image.dimensions();
         if image.is_empty() {
@@ -162,13 +161,13 @@ impl Yolox {
         }
         let mut found = Vec::new();
         let mut picture = Cow::Borrowed(image);
-        // The largest first: to halve what was made for it takes a tenth of shrinking the frame again.
+        // The largest first: halving its image takes a tenth of the time of shrinking the frame again.
         for input in self.input_sizes(frame).into_iter().rev() {
             let (width, height) = fitted(picture.dimensions(), input);
             if (width, height) != picture.dimensions() {
                 picture = Cow::Owned(resize_rgb_quickly(&picture, width, height)?);
             }
-            found.extend(self.look_at(&picture, frame, input)?);
+            found.extend(self.detect_at(&picture, frame, input)?);
         }
         Ok(surest(found, self.options.nms_iou))
     }
@@ -197,7 +196,7 @@ fn decode(values: &[f32], input: (u32, u32), wanted: &[Option<String>], min_conf
     found
 }
 
-/// The best class of a row and its score; `None` where it is not wanted.
+/// Best class of a row and its score; `None` where the class is not wanted.
 fn best_class<'a>(row: &[f32], wanted: &'a [Option<String>]) -> Option<(&'a str, f64)> {
     let (objectness, scores) = (row[NUM_BOX_COLUMNS - 1], &row[NUM_BOX_COLUMNS..]);
     let (class, best) = scores.iter().enumerate().max_by(|a, b| a.1.total_cmp(b.1).then(b.0.cmp(&a.0)))?;
@@ -205,7 +204,7 @@ fn best_class<'a>(row: &[f32], wanted: &'a [Option<String>]) -> Option<(&'a str,
     Some((name, f64::from(objectness * best)))
 }
 
-/// The box that a row says for the cell in a column and row of its grid; pixels of the input.
+/// Decodes the box of a row, for the cell in a column and row of its grid; pixels of the input.
 fn cell_box(row: &[f32], [column, line]: [usize; 2], stride: f64) -> Rect {
     let [x, y, w, h] = [0, 1, 2, 3].map(|k| f64::from(row[k]));
     let (x, y) = (stride * (column as f64 + x), stride * (line as f64 + y));
@@ -213,18 +212,18 @@ fn cell_box(row: &[f32], [column, line]: [usize; 2], stride: f64) -> Rect {
     Rect { x0: x - half_w, y0: y - half_h, x1: x + half_w, y1: y + half_h }
 }
 
-/// The part of a box that lies in the frame, in its pixels; `None` where there is none.
+/// Clips a box to the frame, in its pixels; `None` where it is outside.
 fn in_frame(detection: BoxDetection, boxed: &Letterbox, frame: (u32, u32)) -> Option<BoxDetection> {
     let Rect { x0, y0, x1, y1 } = detection.rect;
     let [x0, y0] = boxed.frame_from_input(x0 as f32, y0 as f32).map(f64::from);
     let [x1, y1] = boxed.frame_from_input(x1 as f32, y1 as f32).map(f64::from);
-    // A side that is no number would be cut to the frame's.
+    // A side that is not a number would be clipped to the frame's.
     let finite = [x0, y0, x1, y1].iter().all(|side| side.is_finite());
     let rect = Rect { x0, y0, x1, y1 }.clipped(frame.0, frame.1);
     (finite && rect.area_px2() > 0.0).then_some(BoxDetection { rect, ..detection })
 }
 
-/// Of boxes that overlap by more than `max_iou` the surest; highest score first.
+/// Non-maximum suppression of boxes that overlap by more than `max_iou`; highest score first.
 fn surest(mut found: Vec<BoxDetection>, max_iou: f64) -> Vec<BoxDetection> {
     found.sort_by(|a, b| b.confidence.total_cmp(&a.confidence));
     let mut kept: Vec<BoxDetection> = Vec::new();
@@ -293,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn the_surest_of_overlapping_boxes_stays_whatever_its_class() {
+    fn the_best_of_overlapping_boxes_is_kept_for_any_class() {
         let detection = |class: &str, confidence: f64, x0: f64| BoxDetection {
             class: class.to_owned(),
             confidence,

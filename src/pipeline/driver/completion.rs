@@ -1,10 +1,10 @@
-//! Record of a folder's last run, and whether it needs another one, decided without reading the input.
+//! Record of the last run of an output folder, and detection of outdated results without reading the input.
 //!
-//! Fingerprints hash the content of all that is read, which for an hour of video takes many seconds. A run therefore
+//! Fingerprints hash the content of all files read, which for an hour of video takes many seconds. A run therefore
 //! leaves a record, `.tractrix/ended.json`, with the name, size, times and inode of every file that it reads and a hash
-//! of its options. Where they are the same, the fingerprints are; where one differs (a file was copied, touched or
-//! replaced) the record says nothing, and the long way decides. A run takes the record away before it begins, and
-//! leaves one only if no file has changed while it was under way.
+//! of its options. If these are equal, the fingerprints are equal. If one differs (a file was copied, touched or
+//! replaced), the fingerprints decide. A run removes the record before it starts, and writes one only if no file has
+//! changed during the run.
 
 use std::fs::{self, Metadata};
 use std::os::unix::fs::MetadataExt;
@@ -21,13 +21,14 @@ use crate::networks::default_models;
 use crate::pipeline::inputs::telemetry;
 use crate::pipeline::{Instances, Options, Result, Stage, TelemetryChoice};
 
-/// The record's file, in the folder for the run's own state.
+/// File name of the record, in the folder for the run's state.
 const RECORD: &str = "ended.json";
 
 /// Inputs of a run, as far as they can be determined without reading them.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Hash of the program's version, the options but for threads and memory, and the networks that come with it.
+    /// Hash of the program's version, the options except threads and memory, and the networks that come with the
+    /// program.
     pub options: String,
     /// Hash of name, size, times and inode of every file that is read.
     pub files: String,
@@ -36,16 +37,16 @@ pub struct Identity {
 /// End of a run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Completion {
-    /// Hashes of everything that it was made from.
+    /// Hashes of the run's inputs.
     pub of: Identity,
-    /// Its options as JSON, so that single ones can be compared; `null` in records of older programs.
+    /// The run's options as JSON, which allows comparing single ones; `null` in records of older programs.
     #[serde(default)]
     pub options: Value,
-    /// Why it has no result, where that is so.
+    /// Reason for a missing result; `None` after a successful run.
     pub failure: Option<RunFailure>,
 }
 
-/// Why a run ended without a result.
+/// Reason why a run ended without a result.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RunFailure {
     /// The program's exit code.
@@ -57,50 +58,50 @@ pub struct RunFailure {
 /// State of a folder with respect to a requested run.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum FolderState {
-    /// Nothing was begun.
+    /// No run was started.
     Absent,
-    /// Another process is at work there.
+    /// Another process is using the folder.
     Running,
-    /// All is done, from this input and with these options.
+    /// The results are complete and match this input and these options.
     Done,
-    /// All is done, but from something else; says from what.
+    /// The results are complete, but from other inputs or options; with a description of the difference.
     Outdated(String),
-    /// The last run failed, and would again.
+    /// The last run failed, and the same run would fail again.
     Failed(RunFailure),
-    /// Something was begun and did not come to its end.
+    /// A run was started and did not finish.
     Begun,
 }
 
 impl Identity {
     /// Inputs of a run of `options` on `input`.
     ///
-    /// A file that cannot be read counts as one that is not there.
+    /// An unreadable file counts as missing.
     pub fn of(input: &Path, options: &Options) -> Self {
         let paths = std::iter::once(input).chain(options.named_paths().into_iter().map(|(_, path)| path));
         let mut files = Vec::new();
         paths.for_each(|path| states(path, 0, &mut files));
         if options.metric.telemetry == TelemetryChoice::Auto && !input.is_dir() {
-            telemetry::beside(input).iter().for_each(|path| states(path, 0, &mut files));
+            telemetry::logs_next_to(input).iter().for_each(|path| states(path, 0, &mut files));
         }
         Self { options: fingerprint::of_value(&of_options(options)), files: fingerprint::of_value(&files) }
     }
 }
 
-/// Options that the result depends on besides named files. Threads and memory are not among them.
+/// Options that affect the result, without the files that they name. Threads and memory are not among them.
 fn of_options(options: &Options) -> Value {
     let options = Options { threads: None, memory_limit: None, ..options.clone() };
     let networks = (options.instances == Instances::Vehicles).then(|| shipped(options.provider));
     json!({ "networks": networks, "options": options })
 }
 
-/// The networks that come with the program, wherever they lie, and whether there is what runs them.
+/// State of the networks that come with the program, independent of their folder, and presence of the runtime.
 fn shipped(provider: Provider) -> Value {
     let of_file = |path: &Path| fs::metadata(path).ok().map(|found| json!([found.len(), found.mtime()]));
     let files = default_models().ok().map(|models| models.files().map(of_file).to_vec());
     json!({ "files": files, "runtime": onnx::is_in_place(provider) })
 }
 
-/// Name and state of a file, or of all files in a folder and at most four levels below it, in the order of their names.
+/// Appends name and state of a file, or of all files in a folder, at most four levels below it, sorted by name.
 fn states(path: &Path, depth: usize, found: &mut Vec<Value>) {
     let name = path.file_name().map(|name| name.to_string_lossy());
     let state = fs::metadata(path).ok();
@@ -119,12 +120,12 @@ fn states(path: &Path, depth: usize, found: &mut Vec<Value>) {
 }
 
 impl Completion {
-    /// The record of a run of `options` that was made from `of`.
+    /// Creates the record of a run of `options` with the inputs `of`.
     pub fn new(of: Identity, options: &Options, failure: Option<RunFailure>) -> Self {
         Self { of, options: json!(options), failure }
     }
 
-    /// End of the last run of an output folder, if it is known.
+    /// Returns the record of an output folder's last run, if there is one.
     pub fn of_folder(output: &Path) -> Option<Self> {
         workspace::read_state(output, RECORD).ok()
     }
@@ -132,7 +133,7 @@ impl Completion {
     /// Compares the input, the options and the program with those of the record.
     ///
     /// # Errors
-    /// The difference, for people.
+    /// A description of the difference for the user.
     fn compare(&self, input: &Path, options: &Options) -> Result<(), String> {
         let now = Identity::of(input, options);
         if now.options != self.of.options {
@@ -143,31 +144,31 @@ impl Completion {
                 |recorded| other_options(&keys, &recorded, options),
             ));
         }
-        // Who has the results may have given the input away.
+        // A user who has the results may have deleted the input.
         match now.files == self.of.files || matches!(input.try_exists(), Ok(false)) {
             true => Ok(()),
             false => Err("the input, or another file of the run, has changed".to_owned()),
         }
     }
 
-    /// As [`Self::compare`], with the given options alone: those that `lay_over` changes.
+    /// As [`Self::compare`], but compares only the options that `lay_over` changes.
     ///
     /// # Errors
     /// As [`Self::compare`]; the reason why `lay_over` fails.
     fn compare_given(&self, lay_over: impl Fn(Options) -> Result<(PathBuf, Options), String>) -> Result<(), String> {
-        let (input, asked) = lay_over(Options::default())?;
-        let Some(recorded) = self.recorded_options() else { return self.compare(&input, &asked) };
+        let (input, requested) = lay_over(Options::default())?;
+        let Some(recorded) = self.recorded_options() else { return self.compare(&input, &requested) };
         let (input, over_recorded) = lay_over(recorded.clone())?;
-        // Lists grow by what is laid over them: over the default there are the given values alone.
-        let is_other = |key: &String| asked.value(key) != recorded.value(key);
+        // `lay_over` appends to lists: applied to the defaults it yields the given values alone.
+        let is_other = |key: &String| requested.value(key) != recorded.value(key);
         let keys: Vec<String> = recorded.differing(&over_recorded).into_iter().filter(is_other).collect();
         match keys.is_empty() {
             true => self.compare(&input, &recorded),
-            false => Err(other_options(&keys, &recorded, &asked)),
+            false => Err(other_options(&keys, &recorded, &requested)),
         }
     }
 
-    /// Returns true if the run read this input, and neither it nor another file that it read has changed.
+    /// Returns true if the run read this input, and none of the files that it read has changed.
     pub(in crate::pipeline) fn is_of_files(&self, input: &Path) -> bool {
         self.recorded_options().is_some_and(|options| Identity::of(input, &options).files == self.of.files)
     }
@@ -176,20 +177,20 @@ impl Completion {
         (!self.options.is_null()).then(|| Options::deserialize(&self.options).ok()).flatten()
     }
 
-    /// Leaves word in an output folder that a run failed, so that whoever collects results knows why.
+    /// Records in an output folder that a run failed, and why.
     ///
     /// # Errors
-    /// The folder is not a run's own, or another process is at work there.
+    /// The folder does not belong to a run, or another process is using it.
     pub fn note_failure(output: &Path, of: Identity, options: &Options, failed: RunFailure) -> Result<()> {
         Workspace::open(output)?.set_ended(&Self::new(of, options, Some(failed)))
     }
 }
 
-/// Names options that differ, with the value of the results and that which is asked for.
-fn other_options(keys: &[String], recorded: &Options, asked: &Options) -> String {
-    /// More would not fit on a line.
+/// Lists the options that differ, with their values in the results and the requested ones.
+fn other_options(keys: &[String], recorded: &Options, requested: &Options) -> String {
+    /// Maximum number of listed options: more do not fit on a line.
     const SHOWN: usize = 3;
-    let one = |key: &String| format!("{key} is {} in the results, now {}", recorded.value(key), asked.value(key));
+    let one = |key: &String| format!("{key} is {} in the results, now {}", recorded.value(key), requested.value(key));
     let shown: Vec<String> = keys.iter().take(SHOWN).map(one).collect();
     let more = match keys.len().saturating_sub(SHOWN) {
         0 => String::new(),
@@ -199,12 +200,12 @@ fn other_options(keys: &[String], recorded: &Options, asked: &Options) -> String
 }
 
 impl Workspace {
-    /// Says how the run ended. All that it made must be in its place before.
+    /// Records the end of the run. All its results must be in place before.
     pub(in crate::pipeline) fn set_ended(&self, ended: &Completion) -> Result<()> {
         self.write_state(RECORD, ended)
     }
 
-    /// Says that a run is under way. To be called before anything is touched.
+    /// Marks the run as unfinished. Must be called before any result is changed.
     pub(in crate::pipeline) fn clear_ended(&self) -> Result<()> {
         Ok(atomic::remove(&self.state(RECORD))?)
     }
@@ -212,14 +213,14 @@ impl Workspace {
 
 /// State of an output folder with respect to a run of `options` on `input`.
 ///
-/// Reads the record and looks whether results are there; does not read the input, and changes nothing.
+/// Reads the record and checks whether results are present; does not read the input, and changes nothing.
 pub fn folder_state(output: &Path, input: &Path, options: &Options) -> FolderState {
     judge(output, |ended| ended.compare(input, options))
 }
 
-/// As [`folder_state`], for a run of which some options are given: the others are those of the last run.
+/// As [`folder_state`], with some options given and the others those of the last run.
 ///
-/// * `lay_over` – gives the input, and some options with the given ones instead.
+/// * `lay_over` – returns the input, and the options with the given ones applied.
 pub fn folder_state_of_given(
     output: &Path,
     lay_over: impl Fn(Options) -> Result<(PathBuf, Options), String>,
@@ -268,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_file_that_was_replaced_is_another_one_although_it_has_the_same_size() {
+    fn a_replaced_file_of_the_same_size_is_detected() {
         let (folder, input) = place();
         let options = without_vehicles();
         let before = Identity::of(&input, &options);
@@ -281,7 +282,7 @@ mod tests {
     }
 
     #[test]
-    fn a_log_that_is_put_beside_a_video_changes_what_is_found() {
+    fn a_new_log_next_to_a_video_changes_the_files_hash() {
         let (folder, input) = place();
         let before = Identity::of(&input, &without_vehicles());
         fs::write(folder.path().join("a.SRT"), b"1").unwrap();
@@ -289,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_picture_that_comes_or_goes_changes_a_folder() {
+    fn added_and_removed_images_change_a_folder() {
         let folder = tempfile::tempdir().unwrap();
         let masks = folder.path().join("deep/masks");
         fs::create_dir_all(&masks).unwrap();
@@ -299,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn options_count_and_threads_do_not() {
+    fn the_hash_depends_on_options_but_not_on_threads() {
         let (_folder, input) = place();
         let options = without_vehicles();
         let before = Identity::of(&input, &options);
@@ -308,7 +309,7 @@ mod tests {
     }
 
     #[test]
-    fn a_failure_stands_until_options_or_input_change() {
+    fn a_failure_persists_until_options_or_input_change() {
         let (folder, input) = place();
         let (output, options) = (folder.path().join("out"), without_vehicles());
         assert_eq!(folder_state(&output, &input, &options), FolderState::Absent);
@@ -322,7 +323,7 @@ mod tests {
     }
 
     #[test]
-    fn who_is_at_work_is_seen_and_a_record_without_results_counts_as_none() {
+    fn running_processes_and_records_without_results_are_detected() {
         let (folder, input) = place();
         let (output, options) = (folder.path().join("out"), without_vehicles());
         let workspace = Workspace::open(&output).unwrap();
@@ -345,14 +346,14 @@ mod tests {
         };
         assert_eq!((with(None), with(Some(3))), (Ok(()), Ok(())));
         assert_eq!(with(Some(0)), Err("options differ: seed is 3 in the results, now 0".to_owned()));
-        let asked = ended.compare(&input, &without_vehicles()).unwrap_err();
-        assert_eq!(asked, "options differ: seed is 3 in the results, now 0");
+        let requested = ended.compare(&input, &without_vehicles()).unwrap_err();
+        assert_eq!(requested, "options differ: seed is 3 in the results, now 0");
         fs::write(&input, b"other pictures").unwrap();
         assert!(with(None).unwrap_err().contains("has changed"));
     }
 
     #[test]
-    fn values_that_are_collected_in_a_list_are_compared_as_given() {
+    fn values_of_lists_are_compared_as_given() {
         let (_folder, input) = place();
         let with = |mut options: Options, length: &str| {
             options.metric.known_lengths.push(length.parse().unwrap());

@@ -1,8 +1,8 @@
-//! Cost of a piece of work: elapsed time, processor time, memory.
+//! Cost of a stage: elapsed time, processor time, memory.
 //!
-//! The kernel keeps the largest memory of a process since it began (VmHWM), and lets it be set back; but then nobody
-//! who looks from outside sees the peak any more. So it is left alone: where it rose during a stage it is that stage's
-//! peak, and where it did not, the largest of samples is.
+//! The kernel records the peak memory of a process since its start (VmHWM). Resetting it would hide the peak from
+//! outside observers, so it is left alone. If it rose during a stage, it is the peak of that stage; otherwise the
+//! largest sample is.
 
 use std::fs;
 use std::sync::Arc;
@@ -25,11 +25,11 @@ pub struct Cost {
     pub peak_rss_mib: f64,
 }
 
-/// Runs from its making to [`Meter::read`].
+/// Measures from its creation to [`Meter::read`].
 pub(in crate::pipeline) struct Meter {
     started: Instant,
     cpu_s: f64,
-    /// Largest memory of the process before, MiB.
+    /// Peak memory of the process before the start, MiB.
     peak_before_mib: f64,
     samples: Arc<Samples>,
 }
@@ -47,7 +47,7 @@ impl Meter {
         let samples = Arc::new(Samples::default());
         samples.take();
         let shared = Arc::clone(&samples);
-        // Without a thread to spare, the sample of the beginning and that of the end have to do.
+        // If no thread can be started, the first and the last sample have to suffice.
         let _ = thread::Builder::new().name("memory".into()).spawn(move || {
             while !shared.is_over.load(Ordering::Relaxed) {
                 thread::sleep(Duration::from_millis(20));
@@ -89,7 +89,7 @@ pub fn process_cpu_s() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// A line of `/proc/self/status` that is given in kB.
+/// Value in MiB of a line of `/proc/self/status` that is given in kB.
 fn status_mib(key: &str) -> Option<f64> {
     let status = fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix(key))?;
@@ -102,7 +102,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn work_and_memory_are_seen() {
+    fn time_and_memory_are_measured() {
         let meter = Meter::start();
         let block = vec![1u8; 64 << 20];
         let sum: u64 = block.iter().map(|&b| u64::from(b)).sum();
@@ -113,7 +113,7 @@ mod tests {
     }
 
     #[test]
-    fn who_looks_from_outside_still_sees_the_largest_of_all() {
+    fn the_peak_of_the_process_is_not_reset() {
         let first = {
             let meter = Meter::start();
             let block = vec![1u8; 256 << 20];
@@ -123,7 +123,7 @@ mod tests {
         let second = Meter::start().read().peak_rss_mib;
         let of_process = status_mib("VmHWM:").unwrap();
         assert!(first > 256.0 && second > 0.0);
-        // The kernel counts by thread and adds up now and then.
+        // The kernel counts per thread and updates the sum only occasionally.
         assert!(of_process > first - 8.0, "{of_process} {first} {second}");
     }
 }

@@ -1,4 +1,4 @@
-//! Fingerprints of results: hashes of everything that a result depends on. Equal ones mean that it can be reused.
+//! Fingerprints of results: hashes of everything that a result depends on. Equal fingerprints allow its reuse.
 
 use std::fs;
 use std::io::{self, BufReader};
@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use crate::files;
 use crate::pipeline::{PipelineError, Result, Stage};
 
-/// Hash of anything that can be written as JSON, and of the code: a program built from other sources has another one.
+/// Hash of a JSON-serializable value and of the code: a program built from other sources has another hash.
 pub(in crate::pipeline) fn of_value(value: &impl Serialize) -> String {
     of_value_in(crate::VERSION, value)
 }
@@ -21,14 +21,13 @@ fn of_value_in(version: &str, value: &impl Serialize) -> String {
     format!("{:x}", Sha256::digest(&text))
 }
 
-/// Hash of everything that a stage's result is made from: what it depends on by itself, and the fingerprints of the
-/// stages that it builds on.
+/// Hash of everything that a stage's result depends on: its cache key and the fingerprints of its upstream stages.
 pub(in crate::pipeline) fn of_stage(stage: Stage, cache_key: &Value, upstream: &[&str]) -> String {
     of_value(&json!([stage, cache_key, upstream]))
 }
 
-/// Hash of the content of a file, or of the names and contents of the files directly in a folder, hidden ones aside.
-/// Where it lies and when it was written does not matter.
+/// Hash of the content of a file, or of the names and contents of the files directly in a folder, without hidden ones.
+/// Location and modification time do not matter.
 ///
 /// # Errors
 /// [`PipelineError::Unreadable`] names the file.
@@ -45,7 +44,7 @@ pub(in crate::pipeline) fn of_content(path: &Path) -> Result<String> {
     of_each(&paths)
 }
 
-/// As [`of_content`], of several files or folders together, in their order.
+/// As [`of_content`], for several files or folders together, in their order.
 ///
 /// # Errors
 /// As [`of_content`].
@@ -69,7 +68,7 @@ fn of_file(path: &Path) -> io::Result<String> {
     Ok(format!("{:x}", hasher.finalize()))
 }
 
-/// Name of a stage's folder for intermediate files: its name and the fingerprint's beginning.
+/// Name of a stage's folder for intermediate files: its name and the start of the fingerprint.
 pub(in crate::pipeline) fn folder_name(stage: Stage, fingerprint: &str) -> String {
     format!("{stage}-{}", fingerprint.get(..16).unwrap_or_default())
 }
@@ -79,7 +78,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_program_of_other_sources_has_other_fingerprints() {
+    fn fingerprints_depend_on_the_sources_of_the_program() {
         let of = |version: &str| of_value_in(version, &json!([Stage::Scale, { "ratio": 1.5 }]));
         assert_eq!(of("0.1.0+0123456789ab"), of("0.1.0+0123456789ab"));
         assert_ne!(of("0.1.0+0123456789ab"), of("0.1.0+ba9876543210"));
@@ -87,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn content_counts_and_place_does_not() {
+    fn hashes_depend_on_content_but_not_on_location() {
         let (a, b) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         for folder in [&a, &b] {
             fs::write(folder.path().join("1.png"), b"one").unwrap();

@@ -1,7 +1,7 @@
-//! Intermediate files of a run: values in postcard's format, and the SHA-256 of these bytes at the end.
+//! Intermediate files of a run: values in postcard's format, followed by the SHA-256 of these bytes.
 //!
-//! The checksum detects damage of every kind. Only what names files or sizes memory is validated besides, where it is
-//! used, since a folder may come from a stranger.
+//! The checksum detects all damage. Values that name files or determine memory sizes are also validated where they are
+//! used, since a folder may come from an untrusted source.
 
 use std::io::{BufReader, ErrorKind, Read, Write};
 use std::path::{Component, Path};
@@ -15,10 +15,10 @@ use crate::io::{IoError, atomic};
 use crate::pipeline::{PipelineError, Result};
 use crate::scene::Frame;
 
-/// Reads an intermediate file piece by piece: reading it whole would take the memory of its content twice.
+/// Reads an intermediate file as a stream: reading it whole would take the memory of its content twice.
 ///
 /// # Errors
-/// [`PipelineError::State`] for one that is damaged or missing, [`IoError::System`] for one that cannot be read.
+/// [`PipelineError::State`] for a damaged or missing file, [`IoError::System`] for an unreadable one.
 pub(in crate::pipeline) fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let file = match files::open_within_memory(path) {
         Err(error) if error.kind() == ErrorKind::NotFound => return Err(damaged(path, "missing")),
@@ -32,7 +32,7 @@ pub(in crate::pipeline) fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     content.map_err(|reason| damaged(path, reason))
 }
 
-/// Writes an intermediate file piece by piece.
+/// Writes an intermediate file as a stream.
 ///
 /// # Errors
 /// [`PipelineError::Io`] if the file cannot be written.
@@ -52,10 +52,10 @@ pub(in crate::pipeline) fn damaged(path: &Path, reason: impl ToString) -> Pipeli
     PipelineError::State { path: path.to_owned(), reason: reason.to_string() }
 }
 
-/// Frames whose names are file names below the folder that they are written into, at finite times.
+/// Checks that frame names are valid file names inside the output folder and that all times are finite.
 ///
 /// # Errors
-/// The first frame at fault, in words.
+/// A description of the first invalid frame.
 pub(in crate::pipeline) fn checked_frames(frames: Vec<Frame>) -> Result<Vec<Frame>, String> {
     frames.iter().find_map(flaw_of_frame).map_or(Ok(frames), Err)
 }
@@ -70,7 +70,7 @@ fn flaw_of_frame(frame: &Frame) -> Option<String> {
 }
 
 fn value_of<T: DeserializeOwned>(reader: &mut Checked<impl Read>) -> Result<T, String> {
-    // Room for the longest text, bytes: names of frames and classes are far shorter.
+    // Buffer for the longest text, bytes: names of frames and classes are far shorter.
     let mut text = vec![0; 1 << 20];
     let (value, _) = postcard::from_io((&mut *reader, &mut text)).map_err(|error| error.to_string())?;
     let found = reader.hash.clone().finalize();
@@ -83,7 +83,7 @@ fn value_of<T: DeserializeOwned>(reader: &mut Checked<impl Read>) -> Result<T, S
     }
 }
 
-/// A file with the hash of the bytes that passed, and the system's error, which [`postcard`] does not keep.
+/// File with a running hash of its bytes. Keeps the system's error, which [`postcard`] discards.
 struct Checked<T> {
     inner: T,
     hash: Sha256,
@@ -95,7 +95,7 @@ impl<T> Checked<T> {
         Self { inner, hash: Sha256::new(), error: None }
     }
 
-    /// Keeps an error, but for the end of the file.
+    /// Keeps an error unless it is the end of the file.
     fn keep<R>(&mut self, result: std::io::Result<R>) -> std::io::Result<R> {
         result.map_err(|error| {
             let kind = error.kind();
@@ -145,7 +145,7 @@ mod tests {
         (0..6).map(frame).collect()
     }
 
-    /// A copy with one to four changed, missing or additional bytes.
+    /// Returns a copy with one to four changed, missing or additional bytes.
     fn damage(whole: &[u8], rng: &mut Rng) -> Vec<u8> {
         let mut bytes = whole.to_vec();
         for _ in 0..rng.random_range(1..=4) {
@@ -162,7 +162,7 @@ mod tests {
     }
 
     #[test]
-    fn values_come_back_from_files() {
+    fn values_survive_a_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("frames.bin");
         write(&path, &frames()).unwrap();
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_frames_lead_nowhere_but_down() {
+    fn frame_names_stay_inside_the_folder() {
         let frame = |name: &str, time_s| Frame { id: FrameId(0), name: name.into(), time_s };
         let is_good = |frame| checked_frames(vec![frame]).is_ok();
         assert!(["000000.jpg", "left/1.png"].iter().all(|name| is_good(frame(name, 0.0))));

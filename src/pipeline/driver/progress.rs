@@ -1,4 +1,4 @@
-//! Progress of a run; the terminal shows it, a library user may ignore it.
+//! Progress of a run: shown by the terminal, optional for users of the library.
 
 use crate::pipeline::{Instances, Options, Stage, Workspace};
 use crate::video::{self, Info, Position};
@@ -7,31 +7,31 @@ use crate::video::{self, Info, Position};
 pub trait Progress: Sync {
     /// Announces the plan, before the first stage.
     fn plan(&self, _: &Plan) {}
-    /// A stage begins, with `total` steps where that is known; the same name again begins its next part, whose steps
-    /// are counted from 0. `input` is read before the first stage.
+    /// Begins a stage, with `total` steps where the number is known. The same name again begins the next part of the
+    /// stage, whose steps are counted from 0. The phase `input` precedes the first stage.
     fn begin(&self, _stage: &str, _total: Option<u64>) {}
-    /// Another step is done.
+    /// Counts a finished step.
     fn step(&self) {}
-    /// So many steps are done. Never goes back: fewer than before change nothing.
+    /// Sets the number of finished steps. Never decreases: smaller numbers are ignored.
     fn reach(&self, _done: u64) {}
-    /// Something that a person should know, and that is no fault.
+    /// Shows a note that is neither a warning nor an error.
     fn note(&self, _: &str) {}
-    /// The stage is over.
+    /// Ends the stage.
     fn end(&self) {}
-    /// A stage is left out because an earlier run had done it.
+    /// Skips a stage whose results an earlier run left.
     fn skip(&self, _stage: &str) {}
-    /// Returns true if the run is to end at the next unit of work: a frame, an object, a stage. Finished work stays.
+    /// Returns true if the run is to stop at the next unit of work: a frame, an object, a stage. Finished work is kept.
     fn is_stopped(&self) -> bool {
         false
     }
 }
 
-/// Says nothing.
+/// Progress receiver that ignores everything.
 pub struct Silent;
 
 impl Progress for Silent {}
 
-/// Says nothing of how far a run is, and stops it where another one does.
+/// Progress receiver that shows nothing, and stops when another one does.
 pub(in crate::pipeline) struct Muted<'a>(pub(in crate::pipeline) &'a dyn Progress);
 
 impl Progress for Muted<'_> {
@@ -40,25 +40,25 @@ impl Progress for Muted<'_> {
     }
 }
 
-/// The stages up to a goal, in order, and how long each should take.
+/// The stages up to a goal, in order, with their expected durations.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plan {
     /// Ascending.
     pub stages: Vec<Planned>,
 }
 
-/// A stage that is to be done.
+/// A planned stage.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Planned {
-    /// Which one.
+    /// The stage.
     pub stage: Stage,
-    /// Seconds that it should take: what it took an earlier run in the same folder; else what it usually takes, at the
-    /// pace of the stages of which that is known.
+    /// Expected duration, seconds: that of an earlier run in the same folder; else the typical one, scaled by the pace
+    /// of the stages with a known duration.
     pub expected_s: f64,
 }
 
 impl Plan {
-    /// From what is known before the first frame is looked at.
+    /// Creates the plan before the first frame is read.
     pub(in crate::pipeline) fn new(workspace: &Workspace, options: &Options, info: &Info, goal: Stage) -> Self {
         let stages: Vec<Stage> = Stage::ALL.into_iter().filter(|stage| *stage <= goal).collect();
         let before = |stage: Stage| workspace.marker(stage).map(|marker| marker.cost.wall_s);
@@ -72,8 +72,8 @@ impl Plan {
     }
 }
 
-/// Seconds that a stage usually takes, on two cores of 2020. Only the shares matter much: the terminal corrects the
-/// pace while it watches.
+/// Typical duration of a stage, seconds, on two cores of 2020. Mainly the ratios matter: the terminal corrects the pace
+/// during the run.
 fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     let frames = num_frames(&options.video, info);
     let megapixels = f64::from(info.width) * f64::from(info.height) * 1e-6;
@@ -100,9 +100,9 @@ fn usual_s(stage: Stage, options: &Options, info: &Info) -> f64 {
     frames * (per_frame + per_megapixel * megapixels)
 }
 
-/// Number of frames that the options choose, as far as the metadata tell: a video whose container states none has 300.
+/// Number of frames that the options select, by the metadata: 300 for a video whose container does not state it.
 fn num_frames(options: &video::Options, info: &Info) -> f64 {
-    // Frames that a video has whose container does not say it.
+    // Number of frames assumed for a video whose container does not state it.
     let all = f64::from(info.num_frames.unwrap_or(300));
     let index = |position: Position| match position {
         Position::Frame(index) => f64::from(index),
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn an_earlier_run_tells_the_pace_of_this_one() {
+    fn an_earlier_run_sets_the_pace() {
         let folder = tempfile::tempdir().unwrap();
         let workspace = Workspace::open(folder.path()).unwrap();
         let plan = |goal| Plan::new(&workspace, &Options::default(), &info(), goal);

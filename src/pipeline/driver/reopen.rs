@@ -1,4 +1,4 @@
-//! The input of a run that is over, for what is made of its results afterwards.
+//! The input of a finished run, for commands that process its results.
 
 use std::path::{Path, PathBuf};
 
@@ -14,7 +14,7 @@ use crate::pipeline::{Completion, Options, PipelineError, Result};
 use crate::scene::Frame;
 use crate::video::Source;
 
-/// Content of `run.json` that commands read.
+/// Content of `run.json` that other commands read.
 #[derive(Deserialize)]
 pub(in crate::pipeline) struct RunJson {
     pub(in crate::pipeline) arguments: Vec<String>,
@@ -33,16 +33,16 @@ impl RunJson {
     }
 }
 
-/// Opens the input as the run in `output` opened it.
+/// Opens the input with the options of the run in `output`.
 ///
-/// * `input` – where it lies now, if not where it lay then.
+/// * `input` – its present path, if it was moved.
 ///
 /// # Errors
-/// A folder without `run.json`; an input that is not there or cannot be read; [`PipelineError::OtherInput`] for a file
-/// at its place from which the results were not made.
+/// A folder without `run.json`; a missing or unreadable input; [`PipelineError::OtherInput`] if the file at its path is
+/// not the one that the results were made from.
 pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source> {
     let RunJson { input: told, mut options, .. } = RunJson::read(output)?;
-    // The other options change from version to version.
+    // The other options change between versions.
     options.retain(|name, _| ["video", "instances", "features", "order", "background_model"].contains(&name.as_str()));
     if input.is_none() {
         check_input(output, &told.path)?;
@@ -50,11 +50,11 @@ pub fn reopen(output: &Path, input: Option<&Path>) -> Result<Source> {
     cameras::open(input.unwrap_or(&told.path), &Options::default().with_tree(&Value::Object(options))?)
 }
 
-/// Looks whether the results in `output` were made from a file or folder: an output folder that somebody else made can
+/// Checks that the results in `output` were made from a file or folder: an output folder from an untrusted source can
 /// name any file of the user's.
 ///
 /// # Errors
-/// [`PipelineError::OtherInput`]. A path at which there is nothing is for the caller.
+/// [`PipelineError::OtherInput`]. The caller handles a path without a file.
 pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<()> {
     if !input.exists() || Completion::of_folder(output).is_some_and(|ended| ended.is_of_files(input)) {
         return Ok(());
@@ -66,12 +66,12 @@ pub(in crate::pipeline) fn check_input(output: &Path, input: &Path) -> Result<()
     }
 }
 
-/// The command line of the last run in `output`; `None` where its `run.json` cannot be read.
+/// The command line of the last run in `output`; `None` if its `run.json` cannot be read.
 pub fn arguments_of_run(output: &Path) -> Option<Vec<String>> {
     RunJson::read(output).ok().map(|run| run.arguments)
 }
 
-/// The frames of the run in `output` with their times; `None` where its own files do not tell them any more.
+/// The frames of the run in `output` with their times; `None` if its intermediate files are missing or damaged.
 pub fn known_frames(output: &Path) -> Option<Vec<Frame>> {
     intermediate::checked_frames(read_state(output, FRAMES).ok()?).ok()
 }

@@ -1,4 +1,4 @@
-//! The driver: which stages are done already, which have to be done, and what they cost.
+//! The driver: reuses finished stages, runs the others, and measures their cost.
 
 use std::cell::OnceCell;
 use std::collections::BTreeMap;
@@ -15,26 +15,26 @@ use crate::pipeline::{Options, PipelineError, Progress, Result, Stage, work_of};
 use crate::scene::{Frame, MAX_SHOWN, Topic, Warning};
 use crate::video::{Info, Source};
 
-/// The list of frames among the run's own files.
+/// File name of the list of frames, in the folder for the run's state.
 pub(in crate::pipeline) const FRAMES: &str = "frames-list.json";
 
-/// Results of a stage besides its files.
+/// Results of a stage in addition to its files.
 #[derive(Debug, Default)]
 pub(in crate::pipeline) struct Outcome {
-    /// Problems although there is a result.
+    /// Warnings of a stage that has a result.
     pub(in crate::pipeline) warnings: Vec<String>,
     /// Counts and measures, by name.
     pub(in crate::pipeline) figures: BTreeMap<String, Value>,
-    /// Files and folders that the stage made, absolute.
+    /// Files and folders that the stage wrote, absolute.
     pub(in crate::pipeline) outputs: Vec<PathBuf>,
-    /// Hash of everything that the stage's result is made from.
+    /// Hash of everything that the stage's result depends on.
     pub(in crate::pipeline) fingerprint: String,
     /// Warnings by topic.
     num_warned: BTreeMap<Topic, usize>,
 }
 
 impl Outcome {
-    /// Shows the first few warnings on a topic, and keeps all.
+    /// Records a warning, and shows it if it is one of the first few on its topic.
     pub(in crate::pipeline) fn warn(&mut self, warning: Warning) {
         let num = self.num_warned.entry(warning.topic).or_default();
         *num += 1;
@@ -44,21 +44,21 @@ impl Outcome {
         self.note(warning);
     }
 
-    /// Says how many warnings were not shown.
-    fn say_what_is_not_shown(&self) {
+    /// Shows the number of warnings that were not shown.
+    fn note_hidden_warnings(&self) {
         for (topic, num) in self.num_warned.iter().filter(|(_, num)| **num > MAX_SHOWN) {
             let warning = topic.not_shown(num - MAX_SHOWN);
             tracing::warn!("{warning}");
         }
     }
 
-    /// As [`Outcome::warn`], of what is no fault.
+    /// As [`Outcome::warn`], for notes that are no problem.
     pub(in crate::pipeline) fn mention(&mut self, warning: Warning) {
         tracing::info!("{warning}");
         self.note(warning);
     }
 
-    /// As [`Outcome::warn`], of what the end of the run says anyway.
+    /// As [`Outcome::warn`], for warnings that the end of the run shows in any case.
     pub(in crate::pipeline) fn note(&mut self, warning: Warning) {
         self.warnings.push(warning.to_string());
     }
@@ -68,25 +68,25 @@ impl Outcome {
     }
 }
 
-/// A stage as it stands at the end of a run.
+/// State of a stage at the end of a run.
 #[derive(Clone, Debug)]
 pub struct StageRecord {
-    /// Which one.
+    /// The stage.
     pub stage: Stage,
     /// Marker of the stage.
     pub marker: Marker,
-    /// True if an earlier run did it.
+    /// True if the result is that of an earlier run.
     pub reused: bool,
 }
 
-/// One run under way.
+/// A run in progress.
 pub(in crate::pipeline) struct Run<'a> {
     pub(in crate::pipeline) options: &'a Options,
     pub(in crate::pipeline) workspace: &'a Workspace,
     pub(in crate::pipeline) source: &'a Source,
     pub(in crate::pipeline) arguments: &'a [String],
     pub(in crate::pipeline) progress: &'a dyn Progress,
-    /// The last stage that is to be done.
+    /// The last stage to run.
     pub(in crate::pipeline) goal: Stage,
     /// Hash of the input.
     pub(in crate::pipeline) content: String,
@@ -94,7 +94,7 @@ pub(in crate::pipeline) struct Run<'a> {
     /// Anomalies of the input, found before any stage.
     warnings: Vec<String>,
     frames: OnceCell<Vec<Frame>>,
-    /// Focal length that would show as much on film, by the log of a video, millimeters.
+    /// 35 mm equivalent focal length by the log of a video, millimeters.
     pub(in crate::pipeline) film_focal_mm: OnceCell<Option<f64>>,
 }
 
@@ -134,7 +134,7 @@ impl<'a> Run<'a> {
         (self.info().width, self.info().height)
     }
 
-    /// The chosen frames; the stage `frames` must be done.
+    /// The selected frames; the stage `frames` must be done.
     pub(in crate::pipeline) fn frames(&self) -> Result<&[Frame]> {
         if self.frames.get().is_none() {
             let frames = intermediate::checked_frames(self.workspace.read_state(FRAMES)?)
@@ -144,26 +144,26 @@ impl<'a> Run<'a> {
         Ok(self.frames.get().map_or(&[], Vec::as_slice))
     }
 
-    /// Says that a step is done, and whether there may be another one.
+    /// Counts a finished step, and stops the run if requested.
     ///
     /// # Errors
-    /// As [`Self::go_on`].
+    /// As [`Self::check_stop`].
     pub(in crate::pipeline) fn step(&self) -> Result<()> {
         self.progress.step();
-        self.go_on()
+        self.check_stop()
     }
 
-    /// To be asked between units of work, when all that is done is in its place.
+    /// Checks for a stop request; to be called between units of work, when all finished work is stored.
     ///
     /// # Errors
     /// [`PipelineError::Stopped`].
-    pub(in crate::pipeline) fn go_on(&self) -> Result<()> {
+    pub(in crate::pipeline) fn check_stop(&self) -> Result<()> {
         if self.progress.is_stopped() { Err(PipelineError::Stopped) } else { Ok(()) }
     }
 
-    /// Does a stage, unless it is done already.
+    /// Runs a stage unless an earlier run has finished it.
     pub(in crate::pipeline) fn stage(&mut self, stage: Stage) -> Result<()> {
-        self.go_on()?;
+        self.check_stop()?;
         let (cache_key, run_stage) = work_of(stage);
         let upstream: Vec<&str> = stage.after().iter().map(|&stage| self.fingerprint(stage)).collect();
         let fingerprint = fingerprint::of_stage(stage, &cache_key(self)?, &upstream);
@@ -176,7 +176,7 @@ impl<'a> Run<'a> {
             return Ok(());
         }
         if is_other {
-            self.say_what_is_done_anew(stage);
+            self.note_rerun_stages(stage);
         }
         self.workspace.clear_marker(stage)?;
         self.workspace.remove_intermediate(stage, &fingerprint)?;
@@ -185,12 +185,12 @@ impl<'a> Run<'a> {
         let mut outcome = Outcome { fingerprint, ..Outcome::default() };
         let done = run_stage(self, &mut outcome);
         self.progress.end();
-        outcome.say_what_is_not_shown();
+        outcome.note_hidden_warnings();
         done?;
         let Outcome { warnings, figures, outputs, fingerprint, .. } = outcome;
         let cost = meter.read();
         memory::give_back();
-        // A folder into which a stage puts no file is not there: nothing of the result depends on it.
+        // A folder in which a stage stored no file does not exist; the result does not depend on it.
         let outputs = outputs.iter().filter(|path| path.exists());
         let outputs = outputs.map(|path| path.strip_prefix(self.workspace.root()).unwrap_or(path).to_owned()).collect();
         let marker = Marker { fingerprint, cost, warnings, figures, outputs };
@@ -199,7 +199,7 @@ impl<'a> Run<'a> {
         Ok(())
     }
 
-    /// Writes a value of the run's own for later stages, as an output of the stage at work.
+    /// Writes an intermediate value for later stages, as an output of the running stage.
     pub(in crate::pipeline) fn keep(&self, name: &str, value: &impl Serialize, outcome: &mut Outcome) -> Result<()> {
         outcome.outputs.push(self.workspace.state(name));
         self.workspace.write_state(name, value)
@@ -216,8 +216,8 @@ impl<'a> Run<'a> {
         marker.is_some_and(|marker| marker.fingerprint == fingerprint && marker.is_complete(self.workspace.root()))
     }
 
-    /// Says once, of the first stage whose options have changed, which results are replaced.
-    fn say_what_is_done_anew(&self, first: Stage) {
+    /// Shows which results are replaced, once, for the first stage whose options have changed.
+    fn note_rerun_stages(&self, first: Stage) {
         if first == Stage::Report || !self.all_reused() {
             return;
         }
@@ -225,12 +225,12 @@ impl<'a> Run<'a> {
         self.progress.note(&format!("options changed: re-running {}", stages.join(", ")));
     }
 
-    /// The fingerprint of a stage that this run has been through; empty for one that it left out.
+    /// The fingerprint of a stage of this run; empty for a skipped one.
     pub(in crate::pipeline) fn fingerprint(&self, stage: Stage) -> &str {
         self.records.iter().find(|record| record.stage == stage).map_or("", |record| &record.marker.fingerprint)
     }
 
-    /// Takes over what an earlier run did, as far as it went.
+    /// Loads the records of all stages that an earlier run finished.
     pub(in crate::pipeline) fn recall(&mut self) {
         let done = Stage::ALL
             .into_iter()
@@ -243,7 +243,7 @@ impl<'a> Run<'a> {
         self.records.iter().all(|record| record.reused)
     }
 
-    /// Says what is odd about what was given.
+    /// Records an anomaly of the input.
     pub(in crate::pipeline) fn warn(&mut self, warning: Warning) {
         tracing::warn!("{warning}");
         self.warnings.push(warning.to_string());

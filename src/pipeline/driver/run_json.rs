@@ -1,4 +1,4 @@
-//! `run.json`: what was run on what, with what result and at what cost.
+//! `run.json`: input, options, results and cost of a run.
 
 use std::collections::BTreeMap;
 
@@ -64,7 +64,7 @@ pub fn run_json_schema() -> Schema {
     json::schema_of::<Document>()
 }
 
-/// Writes `run.json` again from what the stages left behind. `error` says why the run ended before its end.
+/// Rewrites `run.json` from the records of the stages. `error` is the reason for a premature end.
 pub(in crate::pipeline) fn write(run: &Run, error: Option<&str>) -> Result<()> {
     let mut stages = Map::new();
     for record in &run.records {

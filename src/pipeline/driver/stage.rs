@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Stage {
-    /// Which frames there are, at which times.
+    /// List of frames and their times.
     Frames,
     /// Instances in every frame.
     Segment,
@@ -30,7 +30,7 @@ pub enum Stage {
     Scale,
     /// Trajectories in metres and on the map.
     Metric,
-    /// The page to look at.
+    /// Report page.
     Report,
 }
 
@@ -71,7 +71,7 @@ impl Stage {
         }
     }
 
-    /// This stage and all that come after it, directly or not.
+    /// This stage and all that depend on it, directly or not.
     pub fn and_dependents(self) -> Vec<Self> {
         let mut found = vec![self];
         for stage in Self::ALL {
@@ -82,7 +82,7 @@ impl Stage {
         found
     }
 
-    /// The stage of a name.
+    /// Returns the stage with a name.
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|stage| stage.name() == name)
     }

@@ -1,9 +1,9 @@
-//! Work on as many threads as the options ask for.
+//! Number of threads by the options.
 
 use crate::checks::OptionError;
 use crate::pipeline::Result;
 
-/// Runs `task` on so many threads: on those of the caller's pool, unless another number is asked for.
+/// Runs `task` on the requested number of threads, by default on those of the caller's pool.
 pub(in crate::pipeline) fn on_threads<T: Send>(threads: Option<usize>, task: impl FnOnce() -> T + Send) -> Result<T> {
     let Some(threads) = threads.filter(|&threads| threads != rayon::current_num_threads()) else {
         return Ok(task());

@@ -1,4 +1,4 @@
-//! The output folder while a run has it: the public results, and what the run needs to go on where it was.
+//! The output folder during a run: public results, and the state from which a run resumes.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -16,7 +16,7 @@ use crate::io::{IoError, OwnedFolder, RunFolder, atomic, refuse_own_input};
 use crate::pipeline::{PipelineError, Result, Stage};
 use crate::scene::ObjectId;
 
-/// An output folder that this process has for itself. What lies where in it is [`RunFolder`]'s to say.
+/// An output folder locked by this process. [`RunFolder`] defines its layout.
 #[derive(Debug)]
 pub struct Workspace {
     pub(in crate::pipeline) owned: OwnedFolder,
@@ -31,30 +31,29 @@ impl Deref for Workspace {
     }
 }
 
-/// Results that may be discarded for new ones.
+/// Results that new ones may replace.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Overwrite {
-    /// Results of the same input alone.
+    /// Only results of the same input.
     #[default]
     SameInput,
-    /// Results of another input, too.
+    /// Also results of another input.
     AnyInput,
 }
 
 /// Marker of a finished stage.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Marker {
-    /// Hash of everything that the result was made from.
+    /// Hash of everything that the result depends on.
     pub fingerprint: String,
-    /// Cost when it was made.
+    /// Cost of the run that made it.
     #[serde(flatten)]
     pub cost: Cost,
-    /// Problems although there is a result.
+    /// Warnings of a stage that has a result.
     pub warnings: Vec<String>,
     /// Counts and measures, by name.
     pub figures: BTreeMap<String, serde_json::Value>,
-    /// Files and folders that belong to the result, relative to the output folder; without one of them it is made
-    /// again.
+    /// Files and folders of the result, relative to the output folder. If one is missing, the stage is re-run.
     pub outputs: Vec<PathBuf>,
 }
 
@@ -65,12 +64,12 @@ impl Marker {
 }
 
 impl Workspace {
-    /// Looks whether a run may write into a folder, and whether all that it reads lies elsewhere; changes nothing.
+    /// Checks that a run may write into a folder, and that all its inputs are outside of it; changes nothing.
     ///
-    /// * `inputs` – what is read, after the flag that named it.
+    /// * `inputs` – files that are read, each with the flag that named it.
     ///
     /// # Errors
-    /// [`PipelineError::Folder`] says what is in the way.
+    /// [`PipelineError::Folder`] names the obstacle.
     pub fn inspect(output: &Path, inputs: &[(&str, &Path)]) -> Result<()> {
         OwnedFolder::inspect(output, RunFolder::MADE_BY, RunFolder::place)?;
         for (flag, input) in inputs {
@@ -79,20 +78,20 @@ impl Workspace {
         Ok(())
     }
 
-    /// Makes the folder if need be and takes it.
+    /// Creates the folder if necessary, and locks it.
     ///
     /// # Errors
-    /// [`PipelineError::Folder`] if it is not a run's own, cannot be written to, or if another run has it.
+    /// [`PipelineError::Folder`] if it does not belong to a run, is not writable, or is locked by another run.
     pub fn open(output: &Path) -> Result<Self> {
         let owned = OwnedFolder::open(output, RunFolder::MADE_BY, RunFolder::place)?;
         let places = RunFolder::at(owned.root());
         Ok(Self { owned, places })
     }
 
-    /// Puts a public file in its place, whole, through `fill`, which is given the path.
+    /// Writes a public file atomically through `fill`, which gets the path.
     ///
     /// # Errors
-    /// What `fill` says, or [`PipelineError::Folder`].
+    /// The errors of `fill`, or [`PipelineError::Folder`].
     pub fn put_file<E>(&self, path: &Path, fill: impl FnOnce(&Path) -> Result<(), E>) -> Result<()>
     where
         PipelineError: From<E>,
@@ -100,7 +99,7 @@ impl Workspace {
         self.owned.put_file(path, |fresh| fill(fresh).map_err(PipelineError::from))
     }
 
-    /// Puts a public folder in its place, whole, through `fill`, which gets an empty one.
+    /// Writes a public folder atomically through `fill`, which gets an empty one.
     ///
     /// # Errors
     /// As [`Self::put_file`].
@@ -116,7 +115,7 @@ impl Workspace {
         Ok(self.owned.remove(path)?)
     }
 
-    /// Removes a run's own files of all objects in `folder` but those to `keep`.
+    /// Removes the run's files of all objects in `folder` except those to `keep`.
     ///
     /// # Errors
     /// As [`Self::remove`].
@@ -125,22 +124,22 @@ impl Workspace {
         others.into_iter().try_for_each(|id| self.remove(&folder.join(id.to_string())))
     }
 
-    /// A file of the run's own, of which nothing public hangs.
+    /// Path of an internal file of the run, not part of the public results.
     pub fn state(&self, name: &str) -> PathBuf {
         state_of(self.root(), name)
     }
 
-    /// Marker of a stage, if it can be read.
+    /// Marker of a stage, if it is readable.
     pub fn marker(&self, stage: Stage) -> Option<Marker> {
         self.read_state(&marker_name(stage)).ok()
     }
 
-    /// Says that a stage is done. Everything that it made must be in its place before.
+    /// Marks a stage as finished. All its results must be in place before.
     pub fn set_marker(&self, stage: Stage, marker: &Marker) -> Result<()> {
         self.write_state(&marker_name(stage), marker)
     }
 
-    /// Says that a stage is not done. To be called before its results are touched.
+    /// Marks a stage as unfinished. Must be called before its results are changed.
     pub fn clear_marker(&self, stage: Stage) -> Result<()> {
         Ok(atomic::remove(&self.state(&marker_name(stage)))?)
     }
@@ -148,17 +147,17 @@ impl Workspace {
     /// Reads a value that [`Workspace::write_state`] wrote.
     ///
     /// # Errors
-    /// [`PipelineError::State`] if it is missing or was changed by other hands.
+    /// [`PipelineError::State`] if it is missing or was modified outside the program.
     pub fn read_state<T: DeserializeOwned>(&self, name: &str) -> Result<T> {
         read_state(self.root(), name)
     }
 
-    /// Writes a value of the run's own.
+    /// Writes an internal value of the run.
     pub fn write_state(&self, name: &str, value: &impl Serialize) -> Result<()> {
         Ok(atomic::write_json(&self.state(name), value)?)
     }
 
-    /// Creates the folder for intermediate files of a stage's fingerprint, if it is not there.
+    /// Creates the folder for intermediate files of a stage's fingerprint, if it does not exist.
     pub fn intermediate(&self, stage: Stage, fingerprint: &str) -> Result<PathBuf> {
         let folder = self.state(&fingerprint::folder_name(stage, fingerprint));
         atomic::create_folders(&folder)?;
@@ -182,12 +181,12 @@ impl Workspace {
     }
 }
 
-/// Path of a file of the run's own in an output folder.
+/// Path of an internal file of the run in an output folder.
 pub(in crate::pipeline) fn state_of(output: &Path, name: &str) -> PathBuf {
     output.join(RunFolder::STATE).join(name)
 }
 
-/// As [`Workspace::read_state`], from an output folder that nobody need have for itself.
+/// As [`Workspace::read_state`], from an output folder that need not be locked.
 pub(in crate::pipeline) fn read_state<T: DeserializeOwned>(output: &Path, name: &str) -> Result<T> {
     let path = state_of(output, name);
     let bytes = files::read(&path).map_err(|error| damaged(&path, error))?;
@@ -214,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_below_a_file_is_refused() {
+    fn a_path_below_a_file_is_rejected() {
         let folder = tempfile::tempdir().unwrap();
         let file = folder.path().join("file");
         fs::write(&file, b"").unwrap();
@@ -222,7 +221,7 @@ mod tests {
     }
 
     #[test]
-    fn markers_come_and_go_and_damaged_ones_count_as_none() {
+    fn damaged_markers_count_as_none() {
         let folder = tempfile::tempdir().unwrap();
         let workspace = Workspace::open(folder.path()).unwrap();
         assert_eq!(workspace.marker(Stage::Track), None);

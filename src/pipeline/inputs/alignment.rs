@@ -1,4 +1,4 @@
-//! A log laid onto the camera's path of a run.
+//! Alignment of a telemetry log with the camera trajectory of a run.
 
 use std::collections::BTreeMap;
 
@@ -9,22 +9,22 @@ use crate::pipeline::driver::run::Run;
 use crate::scene::{Frame, Image, Reconstruction, TimeBase};
 use crate::telemetry::{self, Fix, LocalFixes, LocalFrame};
 
-/// A log on the camera's path.
+/// A log aligned with the camera trajectory.
 pub(in crate::pipeline) struct FittedLog {
     pub(in crate::pipeline) alignment: Alignment,
     pub(in crate::pipeline) map: LocalFrame,
     /// Epoch of the log's times, seconds of its clock.
     pub(in crate::pipeline) epoch_s: f64,
-    /// Why the log does not fit at the offset that it states.
+    /// Reason why the log does not fit at its stated offset.
     pub(in crate::pipeline) refusal: Option<Refusal>,
 }
 
-/// Lays a log onto the background's path.
+/// Aligns a log with the camera trajectory of the background.
 ///
-/// * `support` – what is known besides, by offset and epoch of the log's times.
+/// * `support` – evidence from other sources, by offset and epoch of the log's times.
 ///
 /// # Errors
-/// Why it cannot be.
+/// The reason why the log cannot be aligned.
 pub(in crate::pipeline) fn fit(
     run: &Run,
     background: &Reconstruction,
@@ -75,7 +75,7 @@ pub(super) fn local_fixes(telemetry: &Telemetry, frames: &[Frame]) -> Result<Loc
     Ok(local.ok_or("no position with a time")?)
 }
 
-/// The camera's centres in the order of time.
+/// The camera centers in temporal order.
 fn camera_path(background: &Reconstruction, frames: &[Frame]) -> Result<CameraPath, String> {
     let seen = registered(background, frames);
     let poses = seen.iter().map(|(frame, image)| (frame.time_s, image.cam_from_world.center())).collect();

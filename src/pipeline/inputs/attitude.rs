@@ -1,5 +1,5 @@
-//! The camera's attitude in a log: the vertical from its own sensors, its orientation from a gimbal's angles, and how
-//! its rotations agree with the reconstruction.
+//! The camera's attitude from a log: the vertical by its own sensors, its orientation by the gimbal angles, and the
+//! agreement of its rotations with the reconstruction.
 
 use nalgebra::{UnitQuaternion, Vector3};
 
@@ -10,16 +10,18 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{Frame, Image, Reconstruction, Topic};
 use crate::telemetry::{CameraSample, Fix};
 
-/// Standard deviation of the gravity that a camera states, radians (a degree): as that of a gimbal's pitch and roll.
+/// Standard deviation of the gravity direction in a camera's log, radians (a degree): as that of a gimbal's pitch and
+/// roll.
 const GRAVITY_STD: f64 = 0.017;
 
-/// Gravity that turns by more than this against the camera is not that of this camera, radians.
+/// Maximum RMS angle of the gravity samples to their mean in the world frame, radians; beyond it they belong to another
+/// camera.
 const MAX_SPREAD: f64 = 0.1;
 
-/// Samples are one per frame; older ones are those of another frame, seconds.
+/// Maximum age of a sample, seconds: there is one per frame, and an older one belongs to another frame.
 const MAX_AGE_S: f64 = 0.1;
 
-/// Up in the world's axes by the samples nearest in time to each frame, and its standard deviation, radians.
+/// Up direction in the world frame by the samples nearest in time to each frame, and its standard deviation, radians.
 pub(in crate::pipeline) fn vertical(
     run: &Run,
     seen: &[(&Frame, &Image)],
@@ -46,11 +48,11 @@ pub(in crate::pipeline) fn vertical(
         outcome.warn(Topic::CameraAttitudeIgnored.warning(text));
         return None;
     }
-    // Errors of the sensor's orientation last as long as a recording: they do not average out.
+    // Orientation errors of the sensor persist over a recording: they do not average out.
     Some((-mean, GRAVITY_STD.max(spread)))
 }
 
-/// Samples, and the image at their time.
+/// Images with the sample nearest in time to each.
 fn pairs<'a>(run: &Run, seen: &[(&'a Frame, &'a Image)], telemetry: &Telemetry) -> Vec<(CameraSample, &'a Image)> {
     let offset_s = run.options.metric.time_offset.map_or(0.0, |offset| offset.mean_s);
     let pair = |(frame, image): &(&Frame, &'a Image)| {
@@ -60,7 +62,7 @@ fn pairs<'a>(run: &Run, seen: &[(&'a Frame, &'a Image)], telemetry: &Telemetry) 
     seen.iter().filter_map(pair).collect()
 }
 
-/// The sample nearest to a time, if it is not older or newer than an age; samples ascend in time.
+/// Returns the sample nearest to a time, within a maximum age; samples ascend in time.
 fn nearest<T>(samples: &[T], time_s: f64, max_age_s: f64, at_s: impl Fn(&T) -> f64) -> Option<&T> {
     let age_s = |sample: &&T| (at_s(sample) - time_s).abs();
     let after = samples.partition_point(|sample| at_s(sample) < time_s);
@@ -68,9 +70,9 @@ fn nearest<T>(samples: &[T], time_s: f64, max_age_s: f64, at_s: impl Fn(&T) -> f
     near.min_by(|a, b| age_s(a).total_cmp(&age_s(b))).filter(|sample| age_s(sample) <= max_age_s)
 }
 
-/// States by how much the camera's own rotations differ from those of the reconstruction.
+/// Reports the RMS angle between the camera's own rotations and those of the reconstruction.
 ///
-/// * `upright` – makes the stored image upright.
+/// * `upright` – rotates the stored image upright.
 fn describe_rotations(pairs: &[(CameraSample, &Image)], upright: UnitQuaternion<f64>, outcome: &mut Outcome) {
     let rotation = |(sample, image): &(CameraSample, &Image)| {
         Some(((upright * sample.image_from_start?).inverse(), image.cam_from_world.rotation))
@@ -91,7 +93,7 @@ pub fn orientation(
     fixes: &[Fix],
     log_from_video_s: f64,
 ) -> Option<Orientation> {
-    /// Angles that are older than this are those of another view, seconds.
+    /// Maximum age of gimbal angles, seconds: older ones belong to another view.
     const MAX_AGE_S: f64 = 0.5;
     let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
     let timed: Vec<_> = fixes

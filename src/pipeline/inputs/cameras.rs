@@ -1,8 +1,8 @@
-//! The cameras that the background's pictures come from.
+//! Cameras of the background's images.
 //!
-//! A video has one. Photographs may have several: one for each size, orientation, and camera and focal length that
-//! their EXIF data name. Where vehicles are looked for, and where pictures follow one another in time, all must have
-//! one size, and one camera is assumed.
+//! A video has one camera. Photographs may have several: one for each combination of size, orientation, camera and
+//! focal length in their EXIF data. Where vehicles are detected, and where images are in temporal order, all images
+//! must have one size, and one camera is assumed.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -19,7 +19,7 @@ use crate::pipeline::{Instances, Options, PipelineError, Result};
 use crate::scene::{Frame, FrameId, Warning};
 use crate::video::{PictureCamera, Source, focal_px_of_equivalent};
 
-/// A camera before the background is reconstructed, at the size of its pictures.
+/// A camera before the reconstruction of the background, at the size of its images.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(in crate::pipeline) struct InitialCamera {
     pub(in crate::pipeline) camera: Camera,
@@ -28,7 +28,7 @@ pub(in crate::pipeline) struct InitialCamera {
     pub(in crate::pipeline) known: Intrinsics,
 }
 
-/// Opens the input: pictures of all sizes where they may be photographs and only a model of the background is made.
+/// Opens the input. Images may differ in size if they may be photographs and only the background is reconstructed.
 pub(in crate::pipeline) fn open(input: &Path, options: &Options) -> Result<Source> {
     let only_a_model = options.instances == Instances::None && options.background_model.is_none();
     let photographs = only_a_model && order::of_options(options) != Some(true);
@@ -38,7 +38,7 @@ pub(in crate::pipeline) fn open(input: &Path, options: &Options) -> Result<Sourc
     })
 }
 
-/// The cameras of the pictures; of those that follow one another in time there is one. The stage `frames` must be done.
+/// The cameras of the images: one if they are in temporal order. The stage `frames` must be done.
 pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>> {
     let taken = taken(run)?;
     let given = of_options(run, taken)?;
@@ -49,8 +49,9 @@ pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>> {
             Some(camera) => (camera, CameraOrigin::Given),
             None => {
                 let (camera, origin) = unknown_camera(taken, &order::found(run)?, logged);
-                let beside = example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_beside(&given, taken));
-                (beside.unwrap_or(camera), origin)
+                let derived =
+                    example.filter(|_| origin == CameraOrigin::Guess).map(|given| guess_from_given(&given, taken));
+                (derived.unwrap_or(camera), origin)
             }
         };
         let known = match origin {
@@ -64,9 +65,9 @@ pub(in crate::pipeline) fn initial(run: &Run) -> Result<Vec<InitialCamera>> {
     taken.iter().zip(given).map(camera).collect()
 }
 
-/// The guess for pictures of which nothing is stated next to a camera that is given: they may well be its own, reduced
-/// or turned, so that field of view, shape of the pixels and distortion are taken from it.
-fn guess_beside(given: &Camera, pictures: &PictureCamera) -> Camera {
+/// Guesses the camera of images without metadata if another camera is given. They may be reduced or rotated images of
+/// that camera, so its field of view, pixel aspect ratio and distortion are used.
+fn guess_from_given(given: &Camera, pictures: &PictureCamera) -> Camera {
     let (width, height) = (pictures.width, pictures.height);
     let scale = f64::from(width.max(height)) / f64::from(given.width.max(given.height));
     let [fx, fy] = given.focal.map(|focal| focal * scale);
@@ -85,27 +86,27 @@ fn of_options(run: &Run, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>>
     }
 }
 
-/// The cameras that the options give, before any stage; each once.
+/// The cameras given by the options, before any stage, without consecutive duplicates.
 pub(in crate::pipeline) fn given(run: &Run) -> Result<Vec<Camera>> {
     let mut given: Vec<Camera> = of_options(run, run.source.cameras())?.into_iter().flatten().collect();
     given.dedup();
     Ok(given)
 }
 
-/// The first of them, which took all pictures where vehicles are looked for.
+/// The first camera, that of all images where vehicles are detected.
 pub(in crate::pipeline) fn first(run: &Run) -> Result<InitialCamera> {
     let path = run.input().display();
     initial(run)?.first().copied().ok_or_else(|| PipelineError::Options(format!("{path}: no image in it")))
 }
 
-/// Cameras of the images that are used.
+/// Cameras of the used images.
 fn taken<'a>(run: &Run<'a>) -> Result<&'a [PictureCamera]> {
     let all = run.source.cameras();
     let is_one = all.len() > 1 && order::found(run)?.in_time;
     Ok(if is_one { &all[..1] } else { all })
 }
 
-/// By frame, the place of its camera among [`initial`]; frames that are not there are of the first one.
+/// Index into [`initial`] of each frame's camera; frames that are missing belong to the first camera.
 pub(in crate::pipeline) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usize>> {
     let of_camera = |(camera, taken): (usize, &PictureCamera)| {
         taken.frames.iter().map(|&frame| (frame, camera)).collect::<Vec<_>>()
@@ -113,16 +114,16 @@ pub(in crate::pipeline) fn of_frames(run: &Run) -> Result<BTreeMap<FrameId, usiz
     Ok(taken(run)?.iter().enumerate().flat_map(of_camera).collect())
 }
 
-/// Leaves out the frames of a video that have another size than the first one, and says of each why.
+/// Removes the frames of a video whose size differs from the first one, with a warning for each.
 pub(in crate::pipeline) fn of_one_size(source: &Source, mut frames: Vec<Frame>) -> (Vec<Frame>, Vec<Warning>) {
-    let mut said = Vec::new();
+    let mut warnings = Vec::new();
     frames.retain(|frame| {
         let reason = source.of_another_size(frame);
         let is_alike = reason.is_none();
-        said.extend(reason);
+        warnings.extend(reason);
         is_alike
     });
-    (frames, said)
+    (frames, warnings)
 }
 
 /// Images of several sizes that `--intrinsics` does not cover.
@@ -142,9 +143,9 @@ pub(in crate::pipeline) fn not_covered(run: &Run, cameras: &[InitialCamera]) -> 
     ))
 }
 
-/// The cameras that the user gives, at the size of the pictures; `None` for those of which nothing is stated. Four or
-/// six numbers are those of the pictures of the first size; a file has a camera for each size that it speaks of, and
-/// where it has only one, of another size than all pictures, it is that of the first size, scaled.
+/// The given cameras at the size of the images; `None` for images that they do not cover. Four or six numbers describe
+/// the images of the first size. A file has a camera for each size that it covers. If it has only one camera, whose
+/// size matches no image, this camera is scaled to the first size.
 fn given_cameras(intrinsics: &IntrinsicsSource, taken: &[PictureCamera]) -> Result<Vec<Option<Camera>>> {
     let source_size = |pictures: &PictureCamera| (pictures.source_width, pictures.source_height);
     let Some(first) = taken.first().map(source_size) else { return Ok(Vec::new()) };
@@ -178,7 +179,7 @@ fn not_one(path: &Path, problem: String) -> PipelineError {
     PipelineError::Options(format!("{path}: expected exactly one camera, or one per image size; {problem}"))
 }
 
-/// The one camera of a file that has the size of the pictures, as they are stored or as they are given out.
+/// The only camera of a file with the size of the images, as stored or as decoded.
 fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<Option<Camera>> {
     let sizes = [(pictures.source_width, pictures.source_height), (pictures.width, pictures.height)];
     for (width, height) in sizes {
@@ -192,9 +193,9 @@ fn of_size(path: &Path, cameras: &[Camera], pictures: &PictureCamera) -> Result<
     Ok(None)
 }
 
-/// The camera as the input tells it, where nobody gives it; what is guessed depends on how the pictures were taken.
+/// The camera by the input's metadata, where none is given; a guess depends on the type of images.
 ///
-/// * `film_focal_mm` – focal length that would show as much on film, by the log of a video.
+/// * `film_focal_mm` – 35 mm equivalent focal length by the log of a video.
 fn unknown_camera(
     pictures: &PictureCamera,
     order: &order::Order,
@@ -212,17 +213,17 @@ fn unknown_camera(
     }
 }
 
-/// Where intrinsics come from.
+/// Origin of intrinsics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub(in crate::pipeline) enum CameraOrigin {
-    /// The user.
+    /// Given by the user.
     Given,
-    /// The photographs.
+    /// EXIF data of the photographs.
     Exif,
-    /// The log of a drone.
+    /// Log of a drone.
     Log,
-    /// Nothing: a guess, [`Camera::prior`] or [`Camera::prior_of_photograph`].
+    /// Guess without data, [`Camera::prior`] or [`Camera::prior_of_photograph`].
     Guess,
 }
 
@@ -242,7 +243,7 @@ mod tests {
     }
 
     #[test]
-    fn numbers_are_for_pictures_of_the_first_size() {
+    fn numbers_describe_images_of_the_first_size() {
         let given = IntrinsicsSource::Given(vec![880.0, 880.0, 480.0, 270.0, 0.0, 0.0]);
         let taken =
             [pictures((960, 540), (480, 270)), pictures((540, 960), (270, 480)), pictures((960, 540), (480, 270))];
@@ -253,12 +254,12 @@ mod tests {
     }
 
     #[test]
-    fn beside_a_given_camera_its_field_of_view_is_guessed() {
+    fn a_guess_uses_the_field_of_view_of_a_given_camera() {
         let given = Camera { radial: [0.1, 0.0], ..Camera::with_focal(1000, 600, 900.0) };
         let given = Camera { focal: [900.0, 910.0], ..given };
-        let turned = guess_beside(&given, &pictures((300, 500), (300, 500)));
+        let turned = guess_from_given(&given, &pictures((300, 500), (300, 500)));
         assert_eq!((turned.focal, turned.principal, turned.radial), ([455.0, 450.0], [150.0, 250.0], [0.1, 0.0]));
-        assert_eq!(guess_beside(&given, &pictures((2000, 900), (1000, 450))).focal, [900.0, 910.0]);
+        assert_eq!(guess_from_given(&given, &pictures((2000, 900), (1000, 450))).focal, [900.0, 910.0]);
     }
 
     #[test]
@@ -275,7 +276,7 @@ mod tests {
         let found = given_cameras(&file(two), &taken).unwrap();
         let focal = |k: usize| found[k].map(|camera: Camera| camera.focal[0]);
         assert_eq!([focal(0), focal(1), focal(2)], [Some(350.0), None, Some(440.0)]);
-        // One camera of another size is that of the first pictures, scaled.
+        // A single camera of another size describes the first images, scaled.
         let one = given_cameras(&file("1 PINHOLE 1080 1920 1400 1400 540 960\n"), &taken).unwrap();
         assert_eq!((one[0].map(|camera| camera.focal[0]), one[1]), (Some(350.0), None));
         let twice = "1 PINHOLE 540 960 880 880 270 480\n2 PINHOLE 540 960 700 700 270 480\n";

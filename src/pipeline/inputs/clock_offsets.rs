@@ -1,4 +1,4 @@
-//! Candidates for the time between the clocks of a log and of the video.
+//! Candidates for the offset between the clocks of a log and of the video.
 
 use super::telemetry::{Origin, Telemetry};
 use crate::metric::{Alignment, Offset};
@@ -6,16 +6,17 @@ use crate::pipeline::driver::run::Run;
 use crate::telemetry::{self, ClockKind};
 use crate::video::{self, Kind};
 
-/// Standard deviation of a container's start time, seconds: whole seconds, and the delay until the camera records.
+/// Standard deviation of a container's start time, seconds: rounding to whole seconds, and the delay until recording
+/// starts.
 const STATED_START_S: f64 = 5.0;
 
-/// Time zones differ by quarters of an hour, seconds.
+/// Granularity of time zones, seconds: quarters of an hour.
 const ZONE_STEP_S: f64 = 900.0;
 
-/// Local time is at most this many steps from universal time: 14 hours.
+/// Maximum difference of local time from universal time in these steps: 14 hours.
 const MAX_ZONE_STEPS: i32 = 56;
 
-/// Candidates for the offset between log and video, the most certain first. Of each list one alone may fit.
+/// Candidates for the offset between log and video, the most certain first. At most one of each list is correct.
 ///
 /// * `log_s` – duration of the log, which begins at `epoch_s`.
 pub(super) fn candidates(
@@ -52,8 +53,8 @@ pub(super) fn candidates(
     }
 }
 
-/// Offsets by a stated time that is local, or that of the recording's end, as many dash cameras and drones write it, as
-/// far as the log covers the video there.
+/// Offsets under the assumptions that the stated time is local, or that of the recording's end, as many dash cameras
+/// and drones write it, where the log then covers the video.
 fn in_other_zones(stated_s: f64, duration_s: f64, log_s: f64) -> Vec<f64> {
     let starts = [0.0, -duration_s].into_iter().flat_map(|end_s| {
         let steps = -MAX_ZONE_STEPS..=MAX_ZONE_STEPS;
@@ -62,14 +63,14 @@ fn in_other_zones(stated_s: f64, duration_s: f64, log_s: f64) -> Vec<f64> {
     starts.filter(|start_s| *start_s >= -STATED_START_S && start_s + duration_s <= log_s + STATED_START_S).collect()
 }
 
-/// Returns true if two alignments are at one offset: candidates overlap.
+/// Returns true if two alignments have the same offset: candidates overlap.
 pub(super) fn is_same(a: &Alignment, b: &Alignment) -> bool {
     (a.offset_s - b.offset_s).abs() <= 1.0 + 3.0 * a.offset_std_s.hypot(b.offset_std_s)
 }
 
-/// When the video was begun by its own account, seconds after 1970.
+/// Start time of the video by its container, seconds after 1970.
 fn stated_start_s(run: &Run) -> Option<f64> {
-    /// Cameras without a clock begin in 1970 or 1904.
+    /// Cameras without a clock start in 1970 or 1904.
     const FIRST_CAMERAS_S: f64 = 1e9;
     let stated = (run.info().kind == Kind::Video).then(|| video::stated_start(run.input())).flatten()?;
     telemetry::clock_s(&stated).filter(|start_s| *start_s > FIRST_CAMERAS_S)
@@ -81,7 +82,7 @@ mod tests {
 
     #[test]
     fn zones_and_ends_are_tried_where_the_log_covers_the_video() {
-        // The clip begins at second 60 of the log and lasts six.
+        // The clip begins at second 60 of the log and lasts six seconds.
         assert_eq!(in_other_zones(60.0 + 7200.0, 6.0, 124.0), [60.0, 54.0]);
         assert_eq!(in_other_zones(66.0, 6.0, 124.0), [66.0, 60.0]);
         assert_eq!(in_other_zones(60.0 + 60_000.0, 6.0, 124.0), [0.0; 0]);

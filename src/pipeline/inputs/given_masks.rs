@@ -1,4 +1,4 @@
-//! Masks that the user gives: one PNG per frame in a folder.
+//! Given masks: one PNG per frame in a folder.
 
 use std::collections::BTreeMap;
 use std::fs;
@@ -10,25 +10,25 @@ use crate::pipeline::{PipelineError, Result};
 use crate::scene::{Frame, FrameId, LabelMap, Topic, Warning};
 use crate::video::Info;
 
-/// Which file of a folder belongs to which frame.
+/// Assignment of the files of a folder to frames.
 #[derive(Debug)]
 pub(in crate::pipeline) struct MaskFolder {
     files: BTreeMap<FrameId, PathBuf>,
-    /// Frames that have none.
+    /// Frames without a mask.
     pub(in crate::pipeline) missing: Vec<FrameId>,
     size: (u32, u32),
     source_size: (u32, u32),
-    /// Of frames whose pixels are not square.
+    /// Size of the stored frames if their pixels are not square.
     stored_size: (u32, u32),
 }
 
 impl MaskFolder {
-    /// Assigns the PNG files of a folder to frames: by the frame's stem (`000042.png`, or the whole name,
-    /// `000042.jpg.png`); if that fits no frame at all, by the number that the file's name is (`42.png`, `00042.png`)
-    /// and the frame's index in the source.
+    /// Assigns the PNG files of a folder to frames by the frame's stem (`000042.png`, or the whole name,
+    /// `000042.jpg.png`). If that matches no frame at all, files with a number as name (`42.png`, `00042.png`) are
+    /// assigned by the frame's index in the source.
     ///
     /// # Errors
-    /// [`PipelineError::Unreadable`] if the folder cannot be listed, [`PipelineError::NoMasks`] if nothing fits.
+    /// [`PipelineError::Unreadable`] if the folder cannot be listed, [`PipelineError::NoMasks`] if no file matches.
     pub(in crate::pipeline) fn open(folder: &Path, frames: &[Frame], info: &Info) -> Result<Self> {
         let unreadable = |source| PipelineError::Unreadable { path: folder.to_owned(), source };
         let mut by_stem = BTreeMap::new();
@@ -60,12 +60,11 @@ impl MaskFolder {
         })
     }
 
-    /// The labels of a frame at the frame's size; `None` if it has no mask. A mask at the size that the source had
-    /// before `--max-dimension`, or at the size at which a file with other than square pixels stores its frames, is
-    /// resized like the frame.
+    /// The labels of a frame at the frame's size; `None` if it has no mask. A mask at the source's size before
+    /// `--max-dimension`, or at the storage size of a file with non-square pixels, is resized like the frame.
     ///
     /// # Errors
-    /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for what is no grey PNG.
+    /// [`PipelineError::MaskSize`] for any other size, [`PipelineError::Io`] for a file that is not a gray PNG.
     pub(in crate::pipeline) fn labels(&self, frame: FrameId) -> Result<Option<LabelMap>> {
         let Some(path) = self.files.get(&frame) else { return Ok(None) };
         match masks::read_label_map(path, self.size) {
@@ -78,7 +77,7 @@ impl MaskFolder {
         }
     }
 
-    /// Looks at the size of every mask, and at the whole of the first one.
+    /// Checks the size of every mask, and the content of the first one.
     ///
     /// # Errors
     /// As [`MaskFolder::labels`].
@@ -87,7 +86,7 @@ impl MaskFolder {
         for (k, (&frame, path)) in self.files.iter().enumerate() {
             let unreadable = |source| PipelineError::Unreadable { path: path.clone(), source };
             files::check(path).map_err(unreadable)?;
-            // The header is enough where it is in order.
+            // A valid header is sufficient.
             let is_in_order = ::image::image_dimensions(path).is_ok_and(fits);
             if k == 0 || !is_in_order {
                 self.labels(frame)?;
@@ -158,7 +157,7 @@ mod tests {
         assert_eq!(found.missing, [FrameId(0)]);
         assert!(found.labels(FrameId(0)).unwrap().is_none());
         assert_eq!(found.labels(FrameId(1)).unwrap().unwrap().labels, [0, 1, 2, 0, 1, 2, 0, 1]);
-        // Where stems fit, numbers are names and not indices.
+        // If stems match, numbers are names and not indices.
         let found = MaskFolder::open(folder.path(), &frames(&["00001.png", "00002.png"]), &info(4, 2, 1)).unwrap();
         assert_eq!(found.missing, [FrameId(1)]);
         let strange = MaskFolder::open(folder.path(), &frames(&["a.png"]), &info(4, 2, 1));
@@ -186,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mask_that_does_not_fit_is_found_before_its_turn() {
+    fn a_mask_of_the_wrong_size_is_found_early() {
         let folder = tempfile::tempdir().unwrap();
         write(folder.path(), "a.png", 3, 2);
         write(folder.path(), "b.png", 6, 4);

@@ -1,4 +1,4 @@
-//! Evidence on a camera that does not translate: options, a log, and points of a map.
+//! Evidence on a camera that does not translate: options, a log, and ground control points.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
@@ -27,18 +27,19 @@ use crate::pipeline::{MetricOptions, PipelineError, Result};
 use crate::scene::{Frame, FrameId, MapOrigin, Reconstruction};
 use crate::telemetry::{Fix, Geodetic, Heights, LocalFixes, LocalFrame};
 
-/// Standard deviation of a stated pitch at least, radians: half a degree, which gimbals and eyes leave.
-const LEAST_PITCH_STD: f64 = 0.009;
-/// Standard deviation of a pixel that a person picks in an image, pixels.
+/// Minimum standard deviation of a given pitch, radians: half a degree, the accuracy of gimbals and of visual
+/// estimates.
+const MIN_PITCH_STD: f64 = 0.009;
+/// Standard deviation of a pixel that a user picks in an image, pixels.
 const PICKED_STD_PX: f64 = 1.5;
-/// Standard deviation of a position that a person picks on an aerial image or a map, metres: what providers of
-/// orthophotos state (0.2 to 0.5 m), and a pixel of it.
+/// Standard deviation of a position that a user picks on an aerial image or a map, metres: the accuracy that providers
+/// of orthophotos state (0.2 to 0.5 m), and a pixel of it.
 const MAP_STD_M: f64 = 0.3;
-/// Standard deviation of the ground's height below a scene against the place of take-off, meters: one per cent of slope
-/// over the 200 m within which a pilot stands.
+/// Standard deviation of the ground's height below a scene relative to the take-off point, meters: one per cent of
+/// slope over the 200 m to the pilot.
 const TAKEOFF_STD_M: f64 = 2.0;
 
-/// Inputs of the ground below a camera that does not translate.
+/// Inputs for the ground below a camera that does not translate.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let options = &run.options.metric;
     let logs = telemetry::fingerprints(run);
@@ -52,10 +53,10 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-/// Tilts of the ground against the camera of the first image, by all sources but vehicles.
+/// Tilts of the ground relative to the camera of the first image, by all sources but vehicles.
 ///
 /// # Errors
-/// Points of a map that place no camera.
+/// Map points from which no camera pose follows.
 pub(in crate::pipeline) fn tilts(
     run: &Run,
     background: &Reconstruction,
@@ -71,7 +72,7 @@ pub(in crate::pipeline) fn tilts(
     Ok(stated_tilts(background, metric, by_lines, vertical, on_map.as_ref()))
 }
 
-/// Tilts of the ground against the camera of the first image.
+/// Tilts of the ground relative to the camera of the first image.
 ///
 /// * `vertical` – unit vector up in the background's frame by a sensor, and its standard deviation, radians.
 pub fn stated_tilts(
@@ -88,17 +89,17 @@ pub fn stated_tilts(
         TiltEstimate { kind, ..TiltEstimate::of_up(source, &(cam_from_world * up_in_world), &covariance) }
     };
     let in_all_directions = |std: f64| Matrix3::identity() * std.powi(2);
-    // The uprights of buildings are vertical.
+    // Vertical edges of buildings.
     let of_lines =
         |lines: &LineNormal| of_up(TiltKind::Vertical, "straight lines", lines.normal_in_world, lines.covariance);
     let mut found: Vec<TiltEstimate> = by_lines.map(of_lines).into_iter().collect();
     found.extend(options.camera_pitch.map(|pitch| TiltEstimate {
         source: "--camera-pitch".to_owned(),
         angles: [pitch.value.to_radians(), 0.0],
-        std: [Some(pitch.std.to_radians().max(LEAST_PITCH_STD)), None],
+        std: [Some(pitch.std.to_radians().max(MIN_PITCH_STD)), None],
         kind: TiltKind::Ground,
     }));
-    // The ground is not level.
+    // The ground need not be level.
     found.extend(vertical.map(|(up, std)| {
         let covariance = in_all_directions(std.hypot(SLOPE_STD));
         of_up(TiltKind::Vertical, "attitude of the camera in telemetry", up, covariance)
@@ -118,20 +119,20 @@ pub struct Station {
     /// Metres east, north, up.
     position_m: Point3<f64>,
     std_m: Vector3<f64>,
-    /// Height above the place of take-off, metres.
+    /// Height above the take-off point, metres.
     height_m: Option<f64>,
     orientation: Option<Orientation>,
     epoch_s: f64,
-    /// The log's clock minus the video's time, from the epoch on, seconds.
+    /// The log's clock minus the video's time, relative to the epoch, seconds.
     offset_s: f64,
     offset_std_s: f64,
     num_fixes: usize,
 }
 
-/// The mean of the fixes in the time of the video.
+/// The mean of the fixes during the video.
 ///
 /// # Errors
-/// Why there is none.
+/// The reason for a missing mean.
 pub(in crate::pipeline) fn station(run: &Run, background: &Reconstruction, log: &Telemetry) -> Result<Station, String> {
     let frames = run.frames().map_err(|error| error.to_string())?;
     let local = alignment::local_fixes(log, frames)?;
@@ -143,12 +144,12 @@ pub(in crate::pipeline) fn station(run: &Run, background: &Reconstruction, log: 
 }
 
 impl Station {
-    /// The mean of the fixes in the time of the frames.
+    /// The mean of the fixes during the frames.
     ///
     /// * `angles` – fixes with the gimbal's angles.
     ///
     /// # Errors
-    /// Why there is none.
+    /// The reason for a missing mean.
     pub fn new(
         local: LocalFixes,
         offset: Offset,
@@ -156,7 +157,7 @@ impl Station {
         background: &Reconstruction,
         angles: &[Fix],
     ) -> Result<Self, String> {
-        /// A log of one fix per second has one within this time of any frame, seconds.
+        /// Margin before the first and after the last frame, seconds: a log of one fix per second has a fix within it.
         const MARGIN_S: f64 = 1.0;
         let Offset::Known { mean_s: offset_s, std_s: offset_std_s } = offset else {
             return Err(
@@ -179,7 +180,7 @@ impl Station {
         let [east, north] = [0, 1].map(|k| mean(&|fix| Some(fix.east_north_m[k])).unwrap_or(0.0));
         Ok(Self {
             position_m: Point3::new(east, north, up_m.unwrap_or(0.0)),
-            // The bias of a receiver lasts longer than a clip.
+            // The bias of a receiver persists longer than a clip.
             std_m: Vector3::new(one.horizontal_std_m, one.horizontal_std_m, one.vertical_std_m),
             height_m: up_m.filter(|height| local.heights == Heights::Relative && *height > 0.0),
             orientation: attitude::orientation(background, frames, angles, local.epoch_s + offset_s),
@@ -202,23 +203,23 @@ impl Station {
         Some((metric_from_world.inverse() * Vector3::z(), *tilt_std))
     }
 
-    /// The height above take-off as that above the ground, metres.
+    /// Uses the height above take-off as that above the ground, metres.
     pub fn height(&self) -> Option<Measured> {
         Measured::new(self.height_m?, self.std_m.z.hypot(TAKEOFF_STD_M))
     }
 
-    /// Meters per unit by its height.
+    /// Meters per unit by the height.
     ///
-    /// * `height` – that above the ground, units.
+    /// * `height` – height above the ground, units.
     pub fn source_of_height(&self, height: &Measured) -> Option<Source> {
         let (log_scale, std) = self.height()?.log_ratio(height);
         Some(Source { name: "height above take-off".to_owned(), kind: Kind::Telemetry, log_scale, std })
     }
 
-    /// The map around it, where the log has the camera's attitude.
+    /// The map frame around the camera, if the log has its attitude.
     pub fn alignment(&self) -> Option<Alignment> {
         let Orientation { metric_from_world, tilt_std, heading_std } = self.orientation?;
-        // Any scale does: it is replaced by that of all sources, and nothing else depends on it.
+        // An arbitrary scale: that of all sources replaces it, and nothing else depends on it.
         let (scale, log_std) = self.height().map_or((1.0, 1.0), |height| (height.value, height.std / height.value));
         let std = [log_std, tilt_std, tilt_std, heading_std, self.std_m.x, self.std_m.y, self.std_m.z];
         Some(Alignment {
@@ -234,17 +235,17 @@ impl Station {
     }
 }
 
-/// A camera over points of a map.
+/// A camera pose by map points.
 pub struct OnMap {
     /// The map from the background.
     pub alignment: Alignment,
-    /// Its frame; heights are known if the points have them.
+    /// The map's frame; heights are known if the points have them.
     pub map: LocalFrame,
-    /// The points with heights, in the background's frame; none where heights are not known.
+    /// The points with heights, in the background's frame; empty if heights are unknown.
     pub relief_in_world: Vec<Point3<f64>>,
 }
 
-/// Points of a map as GeoJSON has them.
+/// GeoJSON content of map points.
 #[derive(Deserialize)]
 struct Collection {
     features: Vec<Feature>,
@@ -274,18 +275,18 @@ fn wrong(path: &Path, problem: impl Display) -> PipelineError {
     PipelineError::Options(format!("--map-points: {}: {problem}", path.display()))
 }
 
-/// Reads the points of a map that are given, so that a fault in them is found at once.
+/// Reads the given map points, to report errors early.
 ///
 /// # Errors
-/// [`PipelineError::Options`] says what is wrong with which point.
+/// [`PipelineError::Options`] names the invalid point and its problem.
 pub fn check_map_points(options: &MetricOptions) -> Result<()> {
     options.map_points.as_deref().map_or(Ok(()), |path| Survey::read(path).map(drop))
 }
 
-/// Looks whether the points of a map lie in the frames of a run; `frames` must be done.
+/// Checks that the map points are inside the frames of a run; `frames` must be done.
 ///
 /// # Errors
-/// [`PipelineError::Options`] names the point that does not.
+/// [`PipelineError::Options`] names the point outside.
 pub(in crate::pipeline) fn check_map_points_in_frames(run: &Run) -> Result<()> {
     let Some(path) = &run.options.metric.map_points else { return Ok(()) };
     let frames = run.frames()?;
@@ -302,37 +303,37 @@ pub(in crate::pipeline) fn check_map_points_in_frames(run: &Run) -> Result<()> {
     Ok(())
 }
 
-/// Returns true if a position lies in a frame, its edge included: a corner of the frame is a place on the map, too.
+/// Returns true if a position is inside a frame, including its border: a corner of the frame is valid.
 fn is_in_frame(pixel: Point2<f64>, (width, height): (u32, u32)) -> bool {
     (0.0..=f64::from(width)).contains(&pixel.x) && (0.0..=f64::from(height)).contains(&pixel.y)
 }
 
 /// Heights on Earth, meters.
 const HEIGHTS_M: RangeInclusive<f64> = -1000.0..=9000.0;
-/// Fewest points of a map: a homography has eight numbers.
-const FEWEST_POINTS: usize = 4;
+/// Minimum number of map points: a homography has eight parameters.
+const MIN_POINTS: usize = 4;
 
-/// A point of the ground that a person picked in an image and on a map.
+/// A ground point picked in an image and on a map.
 struct Picked {
     pixel: Point2<f64>,
-    /// `None` is the first one.
+    /// `None` is the first frame.
     frame: Option<FrameId>,
     longitude_deg: f64,
     latitude_deg: f64,
     height_m: Option<f64>,
 }
 
-/// The points that a person picked, and their map.
+/// The picked points, and their map frame.
 struct Survey {
     picked: Vec<Picked>,
     map: LocalFrame,
 }
 
 impl Survey {
-    /// Reads points of a map.
+    /// Reads map points.
     ///
     /// # Errors
-    /// [`PipelineError::Options`] says what is wrong with which point.
+    /// [`PipelineError::Options`] names the invalid point and its problem.
     fn read(path: &Path) -> Result<Self> {
         let collection: Collection =
             io::json::read_model(path, "a GeoJSON collection of points with properties x and y")?;
@@ -353,8 +354,8 @@ impl Survey {
             Ok(Picked { pixel: Point2::new(x, y), frame, longitude_deg, latitude_deg, height_m })
         };
         let picked: Vec<Picked> = (1..).zip(collection.features).map(point).collect::<Result<_, _>>()?;
-        if picked.len() < FEWEST_POINTS {
-            return Err(wrong(path, format!("{} points; at least {FEWEST_POINTS} needed", picked.len())));
+        if picked.len() < MIN_POINTS {
+            return Err(wrong(path, format!("{} points; at least {MIN_POINTS} needed", picked.len())));
         }
         let mean = |value: &dyn Fn(&Picked) -> f64| picked.iter().map(value).sum::<f64>() / picked.len() as f64;
         let knows_height = picked.iter().all(|point| point.height_m.is_some());
@@ -367,12 +368,12 @@ impl Survey {
         Ok(Self { map: LocalFrame { origin }, picked })
     }
 
-    /// The points as the cameras see them.
+    /// The points with their viewing rays.
     ///
     /// * `log_focal` – logarithm of a factor of the focal length.
     ///
     /// # Errors
-    /// The number of a point that no camera sees, and the reason.
+    /// The number of a point without a camera, and the reason.
     fn points(&self, background: &Reconstruction, log_focal: f64) -> Result<Vec<MapPoint>, String> {
         let point = |(number, picked): (usize, &Picked)| {
             let found = match picked.frame {
@@ -401,12 +402,12 @@ impl Survey {
     }
 }
 
-/// The camera over the points of a map that are given; `None` without any.
+/// The camera pose by the given map points; `None` without any.
 ///
-/// * `focal_std` – standard deviation of the focal length as a share of it.
+/// * `focal_std` – relative standard deviation of the focal length.
 ///
 /// # Errors
-/// [`PipelineError::Options`] where they place no camera.
+/// [`PipelineError::Options`] if no camera pose follows from them.
 pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal_std: f64) -> Result<Option<OnMap>> {
     let Some(path) = &options.map_points else { return Ok(None) };
     let survey = Survey::read(path)?;
@@ -420,10 +421,10 @@ pub fn on_map_points(options: &MetricOptions, background: &Reconstruction, focal
     Ok(Some(OnMap { alignment, map: survey.map, relief_in_world }))
 }
 
-/// A camera that does not translate with the focal length that the points of a map show, and its standard deviation as
-/// a share; both as they are where no points are given, or where they show none.
+/// A camera that does not translate with the focal length estimated from the map points, and its relative standard
+/// deviation; both unchanged if no points are given, or if the points do not determine it.
 ///
-/// * `focal_std` – standard deviation beforehand.
+/// * `focal_std` – prior relative standard deviation.
 pub fn camera_by_map_points(
     options: &MetricOptions,
     table: &TrackTable,
@@ -444,7 +445,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn points_of_a_map_lie_in_frames_edges_included() {
+    fn map_points_may_be_on_the_border_of_a_frame() {
         let inside = |x, y| is_in_frame(Point2::new(x, y), (1920, 1080));
         assert!(inside(0.0, 0.0) && inside(1920.0, 1080.0) && inside(5.0, 5.0));
         assert!(!inside(1920.5, 4.0) && !inside(f64::NAN, 4.0));

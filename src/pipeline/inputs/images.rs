@@ -9,11 +9,11 @@ use crate::pipeline::{Result, Stage};
 use crate::scene::{Frame, FrameId, Topic};
 use crate::video::VideoError;
 
-/// Calls `process` for every wanted image, with a step of the stage's progress each. A frame that cannot be decoded is
-/// skipped, with a warning by the first stage that meets it.
+/// Calls `process` for every selected image, and counts a step of the stage's progress for each. A frame that cannot be
+/// decoded is skipped, with a warning by the first stage that reads it.
 ///
 /// # Errors
-/// Those of `process`; a frame that cannot be decoded because of the machine, which must not become a result.
+/// Those of `process`; a frame that cannot be decoded because of the machine, since that must not become a result.
 pub(in crate::pipeline) fn for_each(
     run: &Run,
     stage: Stage,

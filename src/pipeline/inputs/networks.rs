@@ -1,5 +1,4 @@
-//! The networks with which the program finds vehicles by itself: which there are, and what stands in for those that are
-//! missing.
+//! Networks for vehicle detection: available ones, and the substitutes for missing ones.
 
 use std::path::{Path, PathBuf};
 
@@ -15,19 +14,19 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::background::hovers;
 use crate::pipeline::{DetectorChoice, MaskChoice, Options, Result};
 
-/// Available networks of those that the options choose.
+/// Available networks among those that the options select.
 #[derive(Clone, Debug, Default)]
 pub(in crate::pipeline) struct Networks {
     /// The detector.
     pub(in crate::pipeline) detector: Option<PathBuf>,
-    /// Files of the mask networks: the small one, and the two parts of `MobileSAM` unless the small one serves alone.
+    /// Files of the mask networks: the small one, and the two parts of `MobileSAM` unless only the small one is used.
     pub(in crate::pipeline) masks: Vec<PathBuf>,
     /// Missing networks, with the consequence.
     pub(in crate::pipeline) doubts: Vec<String>,
 }
 
 impl Networks {
-    /// The networks that the options of a run choose, as far as they are there.
+    /// Finds the available networks among those that the options of a run select.
     ///
     /// # Errors
     /// An environment variable or an option names a runtime or networks that are needed and cannot be used.
@@ -35,7 +34,7 @@ impl Networks {
         Ok(Self::chosen(run.options, shipped(run.options.provider))?)
     }
 
-    /// * `shipped` – the networks that come with the program, or why they cannot be used.
+    /// * `shipped` – the networks that come with the program, or the reason why they cannot be used.
     fn chosen(options: &Options, shipped: Result<DefaultModels, PerceptionError>) -> Result<Self, PerceptionError> {
         let is_needed = matches!(options.vehicles.detector, DetectorChoice::Default)
             || options.vehicles.mask_network != MaskChoice::None;
@@ -65,13 +64,13 @@ impl Networks {
         Ok(Self { detector, masks: masks.unwrap_or_default(), ..networks })
     }
 
-    /// The detector, where there is one.
+    /// The detector, if available.
     pub(in crate::pipeline) fn load_detector(&self, run: &Run) -> Result<Option<Yolox>> {
         let load = |path: &Path| load_detector(path, &run.options.detector, run.options.resources());
         Ok(self.detector.as_deref().map(load).transpose()?)
     }
 
-    /// Segmenter of boxes: mask networks, or colors alone.
+    /// Box segmenter: mask networks, or colors alone.
     pub(in crate::pipeline) fn load_box_segmenter(&self, run: &Run) -> Result<Box<dyn BoxSegmenter>> {
         let (options, resources) = (&run.options.prompt, run.options.resources());
         Ok(match self.serving_masks(run) {
@@ -84,12 +83,12 @@ impl Networks {
         })
     }
 
-    /// Files of the mask networks that draw this run's masks.
+    /// Files of the mask networks used for this run's masks.
     pub(in crate::pipeline) fn serving_masks(&self, run: &Run) -> &[PathBuf] {
         serving(&self.masks, hovers(run))
     }
 
-    /// Refuses a detector that cannot be used.
+    /// Checks that the detector can be used.
     ///
     /// # Errors
     /// As [`Self::load_detector`].
@@ -98,7 +97,7 @@ impl Networks {
         if is_known { Ok(()) } else { self.load_detector(run).map(drop) }
     }
 
-    /// Refuses a mask network that cannot be used.
+    /// Checks that the mask networks can be used.
     ///
     /// # Errors
     /// As [`Self::load_box_segmenter`].
@@ -108,14 +107,14 @@ impl Networks {
     }
 }
 
-/// Inputs of networks besides their options: contents of the files and the provider.
+/// Cache key of networks without their options: contents of the files and the provider.
 pub(in crate::pipeline) fn of_networks(run: &Run, files: &[PathBuf]) -> Result<Value> {
     let hashes = files.iter().map(|path| fingerprint::of_content(path)).collect::<Result<Vec<_>, _>>()?;
     let provider = (!files.is_empty()).then_some(run.options.provider);
     Ok(json!({ "files": hashes, "provider": provider }))
 }
 
-/// SHA-256 of networks by the names of their files, for `run.json`.
+/// SHA-256 of networks by their file names, for `run.json`.
 pub(in crate::pipeline) fn hashes_by_name<'a>(files: impl IntoIterator<Item = &'a PathBuf>) -> Result<Value> {
     let hash = |path: &PathBuf| {
         let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
@@ -124,13 +123,13 @@ pub(in crate::pipeline) fn hashes_by_name<'a>(files: impl IntoIterator<Item = &'
     Ok(Value::Object(files.into_iter().map(hash).collect::<Result<_>>()?))
 }
 
-/// Mask networks that are asked: below a camera that does not translate the small one alone
+/// Mask networks in use: below a camera that does not translate only the small one
 /// (docs/decisions/043-masks-below-a-hovering-camera.md).
 fn serving(masks: &[PathBuf], hovers: bool) -> &[PathBuf] {
     if hovers { &masks[..masks.len().min(1)] } else { masks }
 }
 
-/// Returns true if files are, byte for byte, networks for a task that come with the program: those are known to work,
+/// Returns true if files are identical to the networks for a task that come with the program. These are known to work,
 /// and loading them for a check would take half a second.
 fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool> {
     let shipped = default_descriptions()?;
@@ -143,10 +142,10 @@ fn came_with_the_program(files: &[PathBuf], task: &str) -> Result<bool> {
     Ok(true)
 }
 
-/// The networks that come with the program, if they and what runs them are there.
+/// The networks that come with the program, if they and the runtime are available.
 fn shipped(provider: Provider) -> Result<DefaultModels, PerceptionError> {
     match (default_models(), onnx::probe(provider).map_err(PerceptionError::from)) {
-        // What the user has named comes first.
+        // Networks that the user has named take precedence.
         (Err(error), _) | (_, Err(error)) if error.is_of_choice() => Err(error),
         (Err(error), _) | (_, Err(error)) => Err(error),
         (Ok(models), Ok(_)) => Ok(models),
@@ -185,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_missing_is_said_and_stood_in_for() {
+    fn missing_networks_are_reported_and_substituted() {
         let networks = Networks::chosen(&Options::default(), Err(missing())).unwrap();
         assert!(networks.detector.is_none() && networks.masks.is_empty());
         let [detector, masks] = &networks.doubts[..] else { panic!("two doubts: {:?}", networks.doubts) };
@@ -213,7 +212,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_wanted_is_no_doubt() {
+    fn unneeded_networks_are_not_reported() {
         let mut options = Options::default();
         options.vehicles.detector = DetectorChoice::None;
         let networks = Networks::chosen(&options, Ok(there())).unwrap();

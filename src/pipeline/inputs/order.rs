@@ -14,24 +14,24 @@ use crate::scene::{Frame, FrameId};
 use crate::sfm;
 use crate::video::Kind;
 
-/// Where the order is written down.
+/// File name of the order, in the folder for the run's state.
 const STATE: &str = "frames-order.json";
 
-/// Share of followed corners from which on pictures count as frames of a video.
-const FOLLOWED_SHARE: f64 = 0.6;
+/// Share of tracked corners from which images count as frames of a video.
+const TRACKED_SHARE: f64 = 0.6;
 
 /// Temporal order of the images.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(in crate::pipeline) struct Order {
     /// True if the images are in time order.
     pub(in crate::pipeline) in_time: bool,
-    /// Median share of corners that could be followed from a picture to the next, where that was measured.
+    /// Median share of corners tracked from an image to the next, if it was measured.
     pub(in crate::pipeline) followed_share: Option<f64>,
 }
 
 impl Order {
     /// Remark on the order and the option that changes it, where it was detected from the images.
-    pub(in crate::pipeline) fn said(&self) -> Option<String> {
+    pub(in crate::pipeline) fn remark(&self) -> Option<String> {
         let percent = 100.0 * self.followed_share?;
         let seen = format!("{percent:.0} % of the corners are tracked into the next image");
         Some(match self.in_time {
@@ -46,12 +46,12 @@ impl Order {
     }
 }
 
-/// Order that options and input state; `None` if it has to be measured.
+/// Order stated by options and input; `None` if it has to be measured.
 pub(in crate::pipeline) fn stated(run: &Run) -> Option<bool> {
     of_options(run.options).or_else(|| (run.info().kind == Kind::Video).then_some(true))
 }
 
-/// The same of a folder, where the options say it.
+/// Order of a folder, if the options state it.
 pub(in crate::pipeline) fn of_options(options: &Options) -> Option<bool> {
     match (options.order, options.features) {
         (FrameOrder::Time, _) | (FrameOrder::Auto, FeatureKind::Video) => Some(true),
@@ -60,7 +60,7 @@ pub(in crate::pipeline) fn of_options(options: &Options) -> Option<bool> {
     }
 }
 
-/// Finds the order and writes it down for later stages.
+/// Determines the order and stores it for later stages.
 pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame], outcome: &mut Outcome) -> Result<Order> {
     let order = match stated(run) {
         Some(in_time) => Order { in_time, followed_share: None },
@@ -70,9 +70,9 @@ pub(in crate::pipeline) fn find(run: &Run, frames: &[Frame], outcome: &mut Outco
     Ok(order)
 }
 
-/// Follows corners between a few pictures and their successors, evenly over the folder.
+/// Tracks corners from some images to their successors, evenly distributed over the folder.
 fn measured(run: &Run, frames: &[Frame]) -> Result<Order> {
-    // Odd, for a median; takes a fraction of a second.
+    // Number of image pairs: odd, for a median; takes a fraction of a second.
     const NUM_PAIRS: usize = 7;
     let last = frames.len().saturating_sub(1);
     let firsts: BTreeSet<usize> = (0..NUM_PAIRS).map(|k| last * (2 * k + 1) / (2 * NUM_PAIRS)).collect();
@@ -85,22 +85,22 @@ fn measured(run: &Run, frames: &[Frame]) -> Result<Order> {
     let mut shares = Vec::new();
     for k in firsts {
         if let (Some(a), Some(b)) = (pictures.get(&frames[k].id), pictures.get(&frames[k + 1].id)) {
-            // No video changes its size.
+            // The size of a video's frames does not change.
             let is_alike = a.dimensions() == b.dimensions();
             shares.push(if is_alike { features::order::followed_share(a, b)? } else { 0.0 });
         }
     }
     let share = upper_median(shares);
-    Ok(Order { in_time: share.is_some_and(|share| share >= FOLLOWED_SHARE), followed_share: share })
+    Ok(Order { in_time: share.is_some_and(|share| share >= TRACKED_SHARE), followed_share: share })
 }
 
-/// The order that was found; the stage `frames` must be done.
+/// The stored order; the stage `frames` must be done.
 pub(in crate::pipeline) fn found(run: &Run) -> Result<Order> {
     run.workspace.read_state(STATE)
 }
 
-/// Structure from motion of the background and of objects as options, input and order want it. The stage `frames` must
-/// be done.
+/// Options of structure from motion of background and objects, by options, input and order. The stage `frames` must be
+/// done.
 pub(in crate::pipeline) fn sfm_options(run: &Run) -> Result<(sfm::Options, sfm::Options)> {
     Ok(resolved(run.options, found(run)?.in_time))
 }

@@ -1,7 +1,7 @@
 //! Checks before the first long stage.
 //!
-//! A model that cannot be used, a mask that does not fit: an hour of work must not come before an error in a file that
-//! is needed last. What an earlier run has done already is not looked at again.
+//! An error in a file that is needed last, such as an unusable model or a mask of the wrong size, must not follow an
+//! hour of work. Inputs of finished stages are not checked again.
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -19,16 +19,16 @@ use crate::pipeline::{GroundLabels, Instances, Options, PipelineError, Result, S
 use crate::scene::{LabelMap, ObjectId};
 use crate::video::{PictureCamera, Source};
 
-/// Memory of an image at the size of its file, as the file holds it and decoded, bytes per pixel. With that of the
-/// frame, three images of 13,000 × 13,000 pixels took 36 bytes per pixel.
+/// Memory of an image at the size of its file, as stored and decoded, bytes per pixel. With that of the frame, three
+/// images of 13,000 × 13,000 pixels took 36 bytes per pixel.
 const SOURCE_BYTES_PER_PIXEL: u128 = 8;
-/// Memory of an image at the size of the frames, with everything that is made of it, bytes per pixel.
+/// Memory of an image at the size of the frames, with all data derived from it, bytes per pixel.
 const FRAME_BYTES_PER_PIXEL: u128 = 32;
 
-/// Looks whether memory holds the pictures.
+/// Checks that the images fit into memory.
 ///
 /// # Errors
-/// [`PipelineError::Memory`] says of which size they are, and what to do.
+/// [`PipelineError::Memory`] with their size and the remedy.
 pub(in crate::pipeline) fn check_pictures(source: &Source, options: &Options) -> Result<()> {
     let pixels = |width: u32, height: u32| u128::from(width) * u128::from(height);
     for camera in source.cameras() {
@@ -44,10 +44,10 @@ pub(in crate::pipeline) fn check_pictures(source: &Source, options: &Options) ->
     Ok(())
 }
 
-/// Looks at the camera that was given; needs nothing but the input's size.
+/// Checks the given camera; needs only the input's size.
 ///
 /// # Errors
-/// [`PipelineError::Options`] for intrinsics that cannot be meant.
+/// [`PipelineError::Options`] for implausible intrinsics.
 pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<()> {
     if run.options.intrinsics.is_none() {
         return Ok(());
@@ -61,10 +61,10 @@ pub(in crate::pipeline) fn check_camera(run: &mut Run) -> Result<()> {
     Ok(())
 }
 
-/// Looks at every file that the stages are given which are still to be done; `frames` must be done.
+/// Checks the given files of all unfinished stages; `frames` must be done.
 ///
 /// # Errors
-/// What the stage itself would say of the file.
+/// The errors of the stage that reads the file.
 pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<()> {
     open.iter().try_for_each(|stage| match (stage, &run.options.instances) {
         (Stage::Segment, Instances::Model(path)) => segment::load(run, path).map(drop),
@@ -85,7 +85,7 @@ pub(in crate::pipeline) fn check_files(run: &Run, open: &[Stage]) -> Result<()> 
     })
 }
 
-/// Given masks say which objects there are before anything is tracked.
+/// Given masks determine the objects before tracking.
 fn object_ids(run: &Run, folder: &Path) -> Result<()> {
     if run.options.object_models.is_empty() {
         return Ok(());

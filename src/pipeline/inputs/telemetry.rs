@@ -1,4 +1,4 @@
-//! Which telemetry belongs to the input.
+//! Telemetry that belongs to the input.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -15,61 +15,61 @@ use crate::scene::{Frame, Topic};
 use crate::telemetry::{self, Log, Range, TelemetryError};
 use crate::video::{self, Kind, VideoError};
 
-/// Where telemetry was found.
+/// Origin of telemetry.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(in crate::pipeline) enum Origin {
-    /// The user named it.
+    /// A file that the user named.
     Named,
-    /// In a file next to the video.
+    /// A file next to the video.
     Beside,
-    /// In the video itself.
+    /// The video itself.
     Inside,
-    /// In the photographs themselves.
+    /// The photographs themselves.
     Photographs,
-    /// In a file that the user named, by image name.
+    /// A file that the user named, with fixes by image name.
     ByName,
 }
 
 impl Origin {
-    /// True if every position belongs to an image, whatever the clocks say.
+    /// True if every position belongs to an image, independent of clocks.
     pub(in crate::pipeline) fn is_of_images(self) -> bool {
         matches!(self, Self::Photographs | Self::ByName)
     }
 
-    /// Name of its positions as a source of scale.
+    /// Name of the positions as a source of scale.
     pub(in crate::pipeline) fn source_name(self) -> &'static str {
         if self.is_of_images() { "positions of the photographs" } else { "telemetry" }
     }
 }
 
-/// A log and where it comes from.
+/// A log and its origin.
 pub(in crate::pipeline) struct Telemetry {
     pub(in crate::pipeline) log: Log,
     pub(in crate::pipeline) path: PathBuf,
     pub(in crate::pipeline) origin: Origin,
 }
 
-/// Name endings of logs next to a video; the first that holds telemetry is taken.
+/// Extensions of logs next to a video; the first file with telemetry is used.
 const EXTENSIONS: [&str; 6] = ["srt", "gpx", "csv", "nmea", "log", "txt"];
 
-/// The files whose content decides what is found, besides the input itself.
+/// The files, besides the input, on which the detected telemetry depends.
 pub(in crate::pipeline) fn files(run: &Run) -> Vec<PathBuf> {
     match &run.options.metric.telemetry {
         TelemetryChoice::None => Vec::new(),
         TelemetryChoice::File(path) => vec![path.clone()],
-        TelemetryChoice::Auto if run.info().kind == Kind::Video => beside(run.input()),
+        TelemetryChoice::Auto if run.info().kind == Kind::Video => logs_next_to(run.input()),
         TelemetryChoice::Auto => Vec::new(),
     }
 }
 
-/// Hashes of these files; `None` for one that cannot be read: next to a video it is no telemetry, and a named one has
-/// been read before.
+/// Hashes of these files; `None` for an unreadable one: next to a video it is no telemetry, and a named one has been
+/// read before.
 pub(in crate::pipeline) fn fingerprints(run: &Run) -> Vec<Option<String>> {
     files(run).iter().map(|file| fingerprint::of_content(file).ok()).collect()
 }
 
 /// The files next to a video with its stem and the extension of a log, in the order of [`EXTENSIONS`].
-pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
+pub(in crate::pipeline) fn logs_next_to(video: &Path) -> Vec<PathBuf> {
     let (Some(folder), Some(stem)) = (video.parent(), video.file_stem()) else { return Vec::new() };
     let folder = if folder.as_os_str().is_empty() { Path::new(".") } else { folder };
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
@@ -83,13 +83,13 @@ pub(in crate::pipeline) fn beside(video: &Path) -> Vec<PathBuf> {
     found.into_iter().map(|(_, path)| path).collect()
 }
 
-/// The telemetry of the input; what is odd about it is reported.
+/// The telemetry of the input; anomalies are reported.
 pub(in crate::pipeline) fn find(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
     let found = match &run.options.metric.telemetry {
         TelemetryChoice::None => None,
         TelemetryChoice::File(path) => named(path, run, outcome),
         TelemetryChoice::Auto if run.info().kind == Kind::Video => {
-            from_files(&beside(run.input()), run.options.memory(), outcome).or_else(|| inside(run, outcome))
+            from_files(&logs_next_to(run.input()), run.options.memory(), outcome).or_else(|| inside(run, outcome))
         }
         TelemetryChoice::Auto => photographs(run),
     };
@@ -99,12 +99,12 @@ pub(in crate::pipeline) fn find(run: &Run, outcome: &mut Outcome) -> Option<Tele
     found
 }
 
-/// Focal length that would show as much on film, millimeters, by the log of a video; `None` where it changes.
+/// 35 mm equivalent focal length, millimeters, by the log of a video; `None` where it changes.
 pub(in crate::pipeline) fn film_focal_mm(run: &Run) -> Option<f64> {
     let of_log = || {
         let is_video = run.info().kind == Kind::Video;
         let Range { least, most } = is_video.then(|| find(run, &mut Outcome::default()))??.log.film_focal_mm?;
-        // Logs round to a hundredth or a tenth of a millimeter.
+        // Rounding of logs: a hundredth or a tenth of a millimeter.
         (most < 1.02 * least).then_some(least)
     };
     *run.film_focal_mm.get_or_init(of_log)
@@ -138,7 +138,7 @@ fn from_files(paths: &[PathBuf], memory: MemoryLimit, outcome: &mut Outcome) -> 
             let text = format!("file next to the video ignored as telemetry: {}", with_causes(&error));
             let warning = Topic::TelemetryUnreadable.warning(text);
             match error {
-                // It may well be telemetry.
+                // The file may still be telemetry.
                 TelemetryError::TooLarge { .. } | TelemetryError::TooMany { .. } => outcome.warn(warning),
                 _ => outcome.mention(warning),
             }
@@ -160,7 +160,7 @@ fn inside(run: &Run, outcome: &mut Outcome) -> Option<Telemetry> {
 /// Reads the telemetry of a log file, a folder of photographs, or a video.
 ///
 /// # Errors
-/// [`TelemetryError`] names the file and what can be done.
+/// [`TelemetryError`] names the file and the remedy.
 pub fn telemetry_of(path: &Path, memory: MemoryLimit) -> Result<Log, TelemetryError> {
     match telemetry::read_within(path, memory) {
         Err(error @ (TelemetryError::Unknown { .. } | TelemetryError::TooLarge { .. })) => {
@@ -170,13 +170,12 @@ pub fn telemetry_of(path: &Path, memory: MemoryLimit) -> Result<Log, TelemetryEr
     }
 }
 
-/// Reads the telemetry in a video, of its text track or else its GPMF track; `None` where it has neither, or is no
-/// video.
+/// Reads the telemetry of a video's text track or else its GPMF track; `None` if it has neither, or is no video.
 ///
-/// * `track` – video track whose clock counts; `None` as in a run.
+/// * `track` – video track whose clock is used; `None` as in a run.
 ///
 /// # Errors
-/// [`TelemetryError::NoFix`] where the track says something else; [`TelemetryError::Playlist`].
+/// [`TelemetryError::NoFix`] if the track has other content; [`TelemetryError::Playlist`].
 fn telemetry_inside(video: &Path, track: Option<u32>) -> Result<Option<Log>, TelemetryError> {
     match in_text_track(video, track) {
         Err(error @ TelemetryError::NoFix { .. }) => in_gpmf_track(video, track)?.ok_or(error).map(Some),
@@ -210,7 +209,7 @@ fn in_text_track(video: &Path, track: Option<u32>) -> Result<Option<Log>, Teleme
 fn photographs(run: &Run) -> Option<Telemetry> {
     let frames = run.frames().ok()?;
     let paths: Vec<PathBuf> = frames.iter().map(|frame| run.input().join(&frame.name)).collect();
-    // If none of a few photographs knows its place, the others are not asked.
+    // If none of a few photographs has a position, the others are not read.
     telemetry::read_photographs(&paths[..paths.len().min(8)]).ok()?;
     let mut log = telemetry::read_photographs(&paths).ok()?;
     for fix in &mut log.fixes {
@@ -220,8 +219,8 @@ fn photographs(run: &Run) -> Option<Telemetry> {
     Some(Telemetry { log, path: run.input().to_owned(), origin: Origin::Photographs })
 }
 
-/// Positions of the frames by name, meters east, north and up of one of them, as far as photographs or a log by image
-/// name have them.
+/// Positions of the frames by name, meters east, north and up of one of them, if photographs or a log by image name
+/// have them.
 pub(in crate::pipeline) fn positions_by_name(run: &Run) -> BTreeMap<String, Point3<f64>> {
     let found = match &run.options.metric.telemetry {
         TelemetryChoice::None => None,
@@ -232,14 +231,14 @@ pub(in crate::pipeline) fn positions_by_name(run: &Run) -> BTreeMap<String, Poin
     found.filter(|found| found.log.is_by_name()).map_or_else(BTreeMap::new, |found| found.log.positions_by_name())
 }
 
-/// Gives the fixes of a log by image name the names of the frames that they belong to; labels often lack folder or
-/// extension. Fixes of other images are dropped; returns their number.
+/// Replaces the image names in a log by those of the frames that they belong to; labels often lack folder or extension.
+/// Fixes of other images are dropped; returns their number.
 fn match_names(log: &mut Log, frames: &[Frame]) -> usize {
     let mut frame_of: BTreeMap<String, Option<&str>> = BTreeMap::new();
     for frame in frames {
         for key in keys(&frame.name) {
             let entry = frame_of.entry(key).or_insert(Some(&frame.name));
-            // A key of two frames names neither.
+            // A key of two frames is ambiguous.
             *entry = entry.filter(|name| *name == frame.name);
         }
     }
@@ -253,7 +252,7 @@ fn match_names(log: &mut Log, frames: &[Frame]) -> usize {
     before - log.fixes.len()
 }
 
-/// Names under which an image is found, the strictest first: whole, without folders, without extension.
+/// Lookup keys of an image name, the strictest first: whole, without folders, without extension.
 fn keys(name: &str) -> [String; 3] {
     let whole = name.replace('\\', "/").to_lowercase();
     let file = whole.rsplit('/').next().unwrap_or_default().to_owned();
@@ -287,18 +286,18 @@ mod tests {
     use super::*;
 
     #[test]
-    fn logs_beside_a_video_have_its_stem() {
+    fn logs_next_to_a_video_have_its_stem() {
         let folder = tempfile::tempdir().unwrap();
         let video = folder.path().join("DJI_0001.MP4");
         for name in ["DJI_0001.MP4", "DJI_0001.csv", "DJI_0001.SRT", "DJI_0002.SRT", "DJI_0001.jpg", "DJI_0001"] {
             fs::write(folder.path().join(name), "x").unwrap();
         }
-        let names: Vec<_> = beside(&video).iter().map(|path| path.file_name().unwrap().to_owned()).collect();
+        let names: Vec<_> = logs_next_to(&video).iter().map(|path| path.file_name().unwrap().to_owned()).collect();
         assert_eq!(names, ["DJI_0001.SRT", "DJI_0001.csv"]);
     }
 
     #[test]
-    fn what_lies_beside_a_video_and_is_no_telemetry_is_said_and_passed_over() {
+    fn other_files_next_to_a_video_are_reported_and_skipped() {
         let folder = tempfile::tempdir().unwrap();
         let path = |name: &str| folder.path().join(name);
         fs::write(path("a.srt"), "1\n00:00:00,000 --> 00:00:01,000\nHello\n").unwrap();

@@ -32,7 +32,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     let camera = cameras::first(run)?.camera;
     let (_, sfm_options) = order::sfm_options(run)?;
     let options = run.options;
-    // Models are made only where the camera translates.
+    // Models are reconstructed only where the camera translates.
     let with_model = objects.iter().filter(|object| object.left_out.is_none() && !background::hovers(run));
     let wanted = with_model.map(|object| object.id);
     let wanted = wanted.filter(|id| options.wants(*id) && !options.object_models.contains_key(id));

@@ -1,4 +1,4 @@
-//! Stage `frames`: the list of frames that all other stages go by.
+//! Stage `frames`: the list of frames that all other stages use.
 
 use serde_json::{Value, json};
 
@@ -31,9 +31,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
         let text = "--fps ignored: it is for folders of images; a video has its own time stamps";
         outcome.warn(Topic::FrameRateIgnored.warning(text));
     }
-    if let Some(said) = order.said() {
-        tracing::info!("{said}");
-        outcome.note(Topic::ImageOrderDetected.warning(said));
+    if let Some(remark) = order.remark() {
+        tracing::info!("{remark}");
+        outcome.note(Topic::ImageOrderDetected.warning(remark));
     }
     outcome.figure("num_frames", frames.len());
     outcome.figure("num_repeated", scan.num_repeated);

@@ -1,4 +1,4 @@
-//! Stage `ground`: which background points are ground, and the plane near every object in every frame.
+//! Stage `ground`: selection of the ground points, and the local plane of every object in every frame.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -23,7 +23,7 @@ use crate::scene::{
     Frame, FrameId, Ground, GroundSource, LabelMap, Movement, ObjectId, Point3dId, Reconstruction, Rect, Topic, Warning,
 };
 
-/// The name of the sources of planes, for vehicles whose planes are wanted later.
+/// File name of the sources of planes, for vehicles whose planes are computed later.
 const SOURCES: &str = "ground-sources.json";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
@@ -110,14 +110,14 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     run.keep(SOURCES, &found, outcome)
 }
 
-/// Results that the stage computes before any object.
+/// Results that do not depend on objects.
 #[derive(Default, Serialize, Deserialize)]
 pub(in crate::pipeline) struct GroundResults {
-    /// Labelled points and where the labels come from.
+    /// Labeled points and the origin of the labels.
     pub(super) labelled: Option<(GroundSource, Vec<Point3dId>)>,
     pub(super) dominant: Option<DominantPlane>,
     pub(super) mount: Option<Mount>,
-    /// Below a camera that does not translate.
+    /// The ground below a camera that does not translate.
     pub(in crate::pipeline) hovering: Option<HoveringGround>,
 }
 
@@ -151,7 +151,7 @@ impl GroundResults {
     }
 }
 
-/// Every source of the chain, for the whole place.
+/// Creates all sources of the chain, for the whole scene.
 fn find(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Result<GroundResults> {
     if background.points.is_empty() {
         let hovering = hovering_ground(run, background)?;
@@ -187,9 +187,9 @@ fn find(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Result
     Ok(GroundResults { labelled, dominant: dominant.ok(), mount: mount.ok(), hovering: None })
 }
 
-/// The ground below a camera that does not translate; `None` where nothing shows it.
+/// The ground below a camera that does not translate; `None` without evidence.
 fn hovering_ground(run: &Run, background: &Reconstruction) -> Result<Option<HoveringGround>> {
-    // Where vehicles that stand point to is unknown.
+    // The headings of stationary vehicles are unknown.
     let mut tracked = run.workspace.read_tracked()?;
     tracked.retain(|object| object.movement.state == Movement::Moving);
     let mut vehicles: BTreeMap<ObjectId, BTreeMap<FrameId, Rect>> = BTreeMap::new();
@@ -220,7 +220,7 @@ pub(in crate::pipeline) fn sources(run: &Run) -> Result<GroundResults> {
     run.workspace.read_state(SOURCES)
 }
 
-/// The points that labels call ground; `None` where there are no labels, or none that says so of any point.
+/// The points labeled as ground; `None` without labels, or if they label no point as ground.
 fn labelled_points(
     run: &Run,
     background: &Reconstruction,
@@ -254,7 +254,7 @@ fn labelled_points(
     Ok(Some((source, points)))
 }
 
-/// Lets the labels under the observations vote, holding one label map at a time.
+/// Selects ground points by a vote of the labels at their observations, with one label map in memory at a time.
 fn vote_of_masks(
     run: &Run,
     background: &Reconstruction,
@@ -264,7 +264,7 @@ fn vote_of_masks(
 ) -> Result<Vec<Point3dId>> {
     let frames = run.frames()?;
     let files = MaskFolder::open(folder, frames, run.info())?;
-    // Frames that a model was not asked for, since they are not registered, are not missing.
+    // Frames that are not registered have no mask of a semantic model, and are not missing.
     if matches!(run.options.ground_labels, GroundLabels::Masks { .. })
         && let Some(warning) = files.warning(folder, frames)
     {
@@ -289,7 +289,7 @@ fn vote_of_masks(
     failure.map_or(Ok(points), Err)
 }
 
-/// The label of the pixel that holds an image position; `None` outside.
+/// The label of the pixel at an image position; `None` outside.
 fn value_at(labels: &LabelMap, x: f64, y: f64) -> Option<u8> {
     let inside = x >= 0.0 && y >= 0.0 && x < f64::from(labels.width) && y < f64::from(labels.height);
     inside.then(|| labels.labels[y as usize * labels.width as usize + x as usize])
@@ -300,8 +300,7 @@ pub(in crate::pipeline) fn load(run: &Run, model: &Path) -> Result<GroundSegment
     Ok(load_ground_segmenter(model, &run.options.ground_segmentation, run.options.resources())?)
 }
 
-/// Asks the semantic model for every registered frame that it was not asked for before; gives the folder of the
-/// answers.
+/// Runs the semantic model on every registered frame without a mask; returns the folder of the masks.
 fn ground_masks(run: &Run, background: &Reconstruction, model: &Path, outcome: &mut Outcome) -> Result<PathBuf> {
     let folder = run.workspace.intermediate(Stage::Ground, &outcome.fingerprint)?;
     let mut segmenter = load(run, model)?;

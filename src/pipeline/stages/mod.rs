@@ -1,4 +1,4 @@
-//! The stages of a run: one module each, named as the stage.
+//! The stages of a run: one module each, with the name of the stage.
 
 pub(in crate::pipeline) mod background;
 pub(in crate::pipeline) mod features;

@@ -1,4 +1,4 @@
-//! Stage `report`: the page to look at, from what all stages left behind.
+//! Stage `report`: the report page, from the results of all stages.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -21,10 +21,10 @@ use crate::scene::{FrameId, Ground, ObjectId, Reconstruction, TrackedObject, Tra
 use crate::trajectory::{Views, intersection};
 use crate::video::Kind;
 
-/// Makes the page of a finished run again, with what was put into the folder since.
+/// Rewrites the page of a finished run, with the files added to the folder since.
 ///
 /// # Errors
-/// The input is no longer where it was, or the run is not finished.
+/// The input was moved or deleted, or the run is not finished.
 pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<()> {
     let RunJson { arguments, input, options } = RunJson::read(workspace.root())?;
     let options = Options::default().with_tree(&Value::Object(options))?;
@@ -36,15 +36,15 @@ pub(in crate::pipeline) fn renew(workspace: &Workspace) -> Result<()> {
     run_stage(&run, &mut Outcome::default())
 }
 
-/// Makes the page of an output folder again, so that it links to what was exported.
+/// Rewrites the page of an output folder, with links to exported files.
 ///
 /// # Errors
-/// The input is no longer where it was, the run is not finished, or another run is at work on the folder.
+/// The input was moved or deleted, the run is not finished, or another run is using the folder.
 pub fn link_exports(output: &Path) -> Result<()> {
     renew(&Workspace::open(output)?)
 }
 
-/// Writes the page of `tractrix sfm`, the points of the background and its frame on the map: models are its result.
+/// Writes the page of `tractrix sfm`, the points of the background and its map frame: its result are models.
 ///
 /// # Errors
 /// A file that cannot be read or written.
@@ -71,7 +71,7 @@ fn put_page(run: &Run, data: &Data) -> Result<()> {
     run.workspace.put_file(&run.workspace.report(), |fresh| atomic::write(fresh, text.as_bytes()))
 }
 
-/// Data of every page: those of a page of models, without objects and files.
+/// Data common to all pages: those of a page of models, without objects and files.
 fn models<'a>(run: &'a Run, background: &'a Reconstruction, tracked: &[TrackedObject]) -> Result<Data<'a>> {
     let report = background::background_report(run)?;
     Ok(Data {
@@ -95,7 +95,7 @@ fn models<'a>(run: &'a Run, background: &'a Reconstruction, tracked: &[TrackedOb
     })
 }
 
-/// A text whose absolute paths are names alone: a page is mailed, and folders are those of this machine.
+/// A text with absolute paths reduced to file names: a page may be mailed, and folders exist only on this machine.
 fn without_folders(text: &str) -> String {
     let bare = |word: &str| match word.split_once('/') {
         Some((before, path)) if before.is_empty() || before.ends_with(['=', ':', '(', '"', '\'', '`']) => {
@@ -162,7 +162,7 @@ fn objects<'a>(
         let trajectory = trajectories.objects.iter().find(|trajectory| trajectory.id == tracked.id);
         Object {
             id: tracked.id,
-            // The size of a vehicle may correct its class.
+            // A vehicle's size may have corrected its class.
             class: trajectories.class_of(tracked.id).unwrap_or(&tracked.class).to_owned(),
             confidence: tracked.confidence,
             tracked: Some(tracked),
@@ -177,7 +177,7 @@ fn objects<'a>(
     tracked.iter().map(object).collect()
 }
 
-/// Scale ratio of an object by its ground contact in each frame alone; empty where there is none.
+/// Scale ratio of an object by its ground contact in each single frame; empty if there is none.
 fn ratio_per_frame(
     run: &Run,
     background: &Reconstruction,
@@ -277,7 +277,7 @@ fn missing(background: &ModelReport) -> Vec<Missing> {
     background.failure.iter().map(|reason| Missing { what: what.clone(), reason: reason.clone() }).collect()
 }
 
-/// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is made again after an
+/// Film, strip and portraits. They depend on input and masks alone and are kept, since the page is rewritten after an
 /// evaluation or an export.
 fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures> {
     let folder = run.folder(Stage::Track);
@@ -288,7 +288,7 @@ fn pictures(run: &Run, tracked: &[TrackedObject]) -> Result<Pictures> {
     let ids: Vec<_> = run.frames()?.iter().map(|frame| frame.id).collect();
     let film = folder.join("film.mp4");
     let mut maker = PictureMaker::new(&ids, &film);
-    // A frame that cannot be decoded is left out: the stage that needed it has reported it.
+    // A frame that cannot be decoded is skipped: the stage that needed it has reported it.
     for (frame, picture) in run.source.frames_at(maker.wanted())?.flatten() {
         let masks = track::masks_of(run, tracked, &frame)?;
         let masks: Vec<_> = masks.iter().map(|(id, mask)| (*id, mask)).collect();
@@ -345,7 +345,7 @@ fn input_facts(run: &Run, background: &Reconstruction) -> Result<Vec<Fact>> {
         CameraOrigin::Log => "from the log, refined with the background",
         CameraOrigin::Guess => "estimated with the background",
     };
-    // A background that was not reconstructed has only the camera to begin with.
+    // Without a reconstructed background, only the camera is available at first.
     let found = background.cameras.values().next().filter(|_| !background.images.is_empty());
     if let Some(camera) = found {
         let focal = match background::focal_deviation(run)? {

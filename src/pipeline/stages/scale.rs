@@ -30,10 +30,10 @@ use crate::trajectory::{
 };
 use movement::TrajectoryEvidence;
 
-/// The name of the trajectories as this stage leaves them, in units of the background.
+/// File name of the trajectories of this stage, in units of the background.
 const IN_UNITS: &str = "scale-trajectories.json";
 
-/// The name of the other results for later stages.
+/// File name of the other results for later stages.
 const RESULTS: &str = "scale-results.json";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
@@ -89,9 +89,9 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// Takes away what speaks of the trajectories that are replaced.
+/// Removes the results that depend on the replaced trajectories.
 fn clear(run: &Run, reports: &BTreeMap<ObjectId, ModelReport>) -> Result<()> {
-    // The file of trajectories is made again without metres, which the stage `metric` writes into it.
+    // The file of trajectories is rewritten without metres, which the stage `metric` adds.
     run.workspace.clear_marker(Stage::Metric)?;
     run.workspace.remove(&run.workspace.evaluation())?;
     run.workspace.remove(&run.workspace.exports())?;
@@ -107,7 +107,7 @@ struct Scene<'a, 'r> {
     ground: Ground,
     sources: ground::GroundResults,
     frames: &'a [Frame],
-    /// Standard deviation of the focal length as a share of it; `None` where positions do not depend on it.
+    /// Relative standard deviation of the focal length; `None` if positions do not depend on it.
     focal_std: Option<f64>,
     /// Outlines of all objects that may get a position.
     outlines: Outlines,
@@ -125,10 +125,10 @@ struct ScaleContext {
 #[derive(Default, Serialize, Deserialize)]
 pub(in crate::pipeline) struct ScaleResults {
     pub(in crate::pipeline) sizes: BTreeMap<ObjectId, Size>,
-    /// Of the vehicles with a ground track.
+    /// Ground bodies of the vehicles with a ground track.
     pub(in crate::pipeline) bodies: BTreeMap<ObjectId, BodyOnGround>,
     pub(in crate::pipeline) pose_covariances: PoseCovariances,
-    /// Why objects have no trajectory although they have a model, or not even a ground track.
+    /// Reasons why objects with a model have no trajectory, or vehicles no ground track.
     pub(in crate::pipeline) failures: BTreeMap<ObjectId, String>,
 }
 
@@ -159,8 +159,7 @@ impl<'a, 'r> Scene<'a, 'r> {
         })
     }
 
-    /// Movement finding before the trajectory is looked at. An earlier run of this stage may have revised that of
-    /// `tracked`.
+    /// Motion finding by points alone. An earlier run of this stage may have revised that of `tracked`.
     fn by_points(&self, tracked: &TrackedObject) -> MovementFinding {
         match self.run.options.scale.stationary {
             StationaryVehicles::All => {
@@ -172,8 +171,8 @@ impl<'a, 'r> Scene<'a, 'r> {
         }
     }
 
-    /// Withdraws motion that a trajectory alone shows where the model's shape contradicts its scale; returns true if
-    /// there was any.
+    /// Withdraws motion that only a trajectory shows, if the model's shape contradicts its scale; returns true if there
+    /// was any.
     fn withdraw_motion(
         &self,
         placed: &mut [PlacedVehicle],
@@ -197,7 +196,8 @@ impl<'a, 'r> Scene<'a, 'r> {
         is_withdrawn
     }
 
-    /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera path.
+    /// Revises the motion state by the trajectory, and the scale ratio of a stationary vehicle by the camera
+    /// trajectory.
     ///
     /// * `shares_cameras` – the model was triangulated from the background's cameras.
     fn revise(
@@ -223,7 +223,7 @@ impl<'a, 'r> Scene<'a, 'r> {
         }
     }
 
-    /// Places one object that has a model.
+    /// Computes the trajectory of one object that has a model.
     fn place(
         &self,
         tracked: &mut TrackedObject,

@@ -3,7 +3,7 @@
 use super::table::{NONE, Table, number, percent};
 use crate::eval::benchmark::{Effect, Means};
 
-/// A row per mechanism: figures with and without it, and what it changes. Negative changes of error and time are gains.
+/// A row per mechanism: figures with and without it, and its effect. Negative changes of error and time are gains.
 pub fn ablation_table(effects: &[Effect]) -> String {
     let mut table = Table::new([
         "mechanism",

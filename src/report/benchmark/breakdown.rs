@@ -1,4 +1,4 @@
-//! Breakdown charts: error and stated deviation over each quantity that is swept, as SVG.
+//! Breakdown charts: error and reported σ over each swept quantity, as SVG.
 
 use std::ops::Range;
 
@@ -10,9 +10,9 @@ use crate::math::median;
 use crate::report::ReportError;
 use crate::report::svg::{self, Area, DrawResult, FONT};
 
-/// Errors that are drawn, as shares: what is smaller or larger is drawn at the edge.
+/// Range of drawn errors, as shares: smaller and larger ones are drawn at the edge.
 const ERRORS: Range<f64> = 0.0005..1.0;
-/// Colors of error and stated deviation.
+/// Colors of error and reported σ.
 const ERROR: RGBColor = RGBColor(0xb3, 0x26, 0x1e);
 const STATED: RGBColor = RGBColor(0x1b, 0x62, 0xb5);
 
@@ -30,7 +30,7 @@ const SWEEPS: [Sweep; 8] = [
     ("noise", "Image noise", "standard deviation, gray levels of 255", |case| Some(case.level)),
 ];
 
-/// Name and chart of everything that was swept over at least two levels.
+/// Name and chart of every quantity swept over at least two levels.
 ///
 /// # Errors
 /// [`ReportError::Chart`] if one cannot be laid out.
@@ -47,7 +47,7 @@ pub fn breakdown_charts(calibration: &Calibration) -> Result<Vec<(&'static str, 
     SWEEPS.iter().filter_map(chart).collect()
 }
 
-/// Quantity of a case that is drawn over the swept one.
+/// Quantity of a case, drawn over the swept one.
 type Quantity<'a> = &'a dyn Fn(&Case) -> Option<f64>;
 
 struct Chart<'a> {
@@ -112,7 +112,7 @@ impl Chart<'_> {
 
     /// The medians of every level.
     fn medians(&self, of: Quantity<'_>) -> Vec<(f64, f64)> {
-        // The level of a window is where it begins, which is not what its chart shows.
+        // The level of a window is its start, which its chart does not show.
         if self.cases.iter().any(|(_, case)| case.kind == "window") {
             return Vec::new();
         }
@@ -139,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_swept_has_a_chart_and_what_failed_a_cross() {
+    fn swept_quantities_have_a_chart_and_failures_a_cross() {
         let cases = vec![case(4.0, Some(0.01)), case(8.0, Some(-0.3)), case(32.0, None)];
         let one = Calibration { cases: cases[..1].to_vec(), ..Calibration::default() };
         assert!(breakdown_charts(&one).unwrap().is_empty());

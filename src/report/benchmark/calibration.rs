@@ -1,4 +1,4 @@
-//! A calibration as Markdown.
+//! Calibration of σ as Markdown.
 
 use super::table::{NONE, Table, figure, number, percent};
 use crate::eval::calibration::{Calibration, Case, Row, Share, summarise, summarise_spreads};
@@ -41,7 +41,7 @@ fn clips_summary(spreads: &[Spread]) -> String {
     )
 }
 
-/// All of it: the summary, and every case.
+/// The whole page: the summary, and every case.
 pub fn calibration(calibration: &Calibration) -> String {
     let mut cases = Table::new([
         "sequence",
@@ -80,7 +80,7 @@ pub fn calibration(calibration: &Calibration) -> String {
     ) + &clips(&calibration.spreads)
 }
 
-/// Every vehicle that two runs of a clip place.
+/// Every vehicle with a position in two runs of a clip.
 fn clips(spreads: &[Spread]) -> String {
     let mut table =
         Table::new(["clip", "variant", "vehicle", "frames", "difference", "std", "in std", "worse verdict"]);

@@ -26,7 +26,7 @@ pub fn scale_deviation_chart(benchmark: &Benchmark) -> Result<String, ReportErro
     chart(benchmark, quantity, title, SCALE_LABEL, drawn(benchmark)).svg()
 }
 
-/// Deviation of the scale ratio from the reference, a chart for each estimator that has any, as one SVG.
+/// Deviation of the scale ratio from the reference, a chart per estimator with values, as one SVG.
 ///
 /// # Errors
 /// [`ReportError::Chart`] if it cannot be laid out.
@@ -137,7 +137,7 @@ mod tests {
     fn the_papers_own_chart_is_drawn() {
         let chart = chart_of(&paper_with_a_failure());
         assert_eq!((chart.groups.len(), chart.clusters.len(), chart.fillings.len()), (7, 5, 2));
-        // Saloon overtaking: its baseline stands, its method failed; the van's bumpy road was never there.
+        // Saloon overtaking: its baseline is valid, its method failed; the van's bumpy road is missing.
         let bars = &chart.bars[3][0];
         assert_eq!((bars[0].height, bars[1].height), (Height::Value(1.3798), Height::Failed));
         assert_eq!((bars[0].published, bars[1].published), (Some(1.3798), Some(0.14733)));
@@ -165,7 +165,7 @@ mod tests {
         set.sequences.push(twin);
         let drawn = chart_of(&set);
         assert!(matches!(drawn.bars[0][0][0].height, Height::Value(mean) if (mean - 0.103598).abs() < 1e-12));
-        // Trajectories of another name are another group, even where the paper's values are the same.
+        // Trajectories of different names are separate groups, even where the paper's values are equal.
         set.sequences[35].trajectory = "right_curve".into();
         let drawn = chart_of(&set);
         assert_eq!((drawn.groups.len(), drawn.bars[1][0][0].height), (8, Height::Value(0.153598)));

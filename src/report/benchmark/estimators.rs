@@ -1,14 +1,14 @@
-//! All scale estimators side by side: determined and undetermined ratios, their errors, coverage of their σ, sources.
+//! Comparison of all scale estimators: determined and undetermined ratios, their errors, coverage of their σ, sources.
 
 use super::pages::name;
 use super::table::{NONE, Table, number};
 use crate::eval::benchmark::{Benchmark, Entry, Estimator, Quantity, Statistics, paper};
 
-/// Standard deviations whose coverage is shown.
+/// Multiples of σ whose coverage is shown.
 const FACTORS: [f64; 2] = [1.0, 2.0];
 
-/// The section; empty unless the runs computed reference methods. Below the own estimators are those of the other
-/// sets, and the paper's published values.
+/// The section; empty unless the runs computed reference methods. The program's estimators are followed by those of the
+/// other sets and the paper's published values.
 pub(super) fn estimators(own: &Benchmark, others: &[Benchmark]) -> String {
     let all = own.estimators();
     if !all.iter().any(is_reference) {

@@ -1,4 +1,4 @@
-//! The Markdown page, and its first part, which also goes to the terminal.
+//! The Markdown page, and its first part, which is also printed to the terminal.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -7,12 +7,12 @@ use super::table::{NONE, Table, number};
 use crate::eval::benchmark::{Benchmark, Cost, Entry, Estimator, Figures, Quantity, Row, Statistics, paper, summarise};
 use crate::report::words::count;
 
-/// Trajectory error above which a sequence is listed with what is known about it, metres.
+/// Trajectory error above which a sequence is listed with its remarks, meters.
 pub const ATTENTION_ERROR_M: f64 = 0.3;
-/// Registered share of the object's or background's frames below which it is.
+/// Registered share of the object's or background's frames below which a sequence is listed with its remarks.
 pub const ATTENTION_FRACTION: f64 = 0.98;
 
-/// The whole page: summary, every sequence, others next to it, and what needs a reason.
+/// The whole page: summary, every sequence, comparison with others, and remarks.
 pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
     let mut page = format!("# Benchmark: {}\n\ntractrix {}", own.label, own.program);
     if !own.arguments.is_empty() {
@@ -28,10 +28,10 @@ pub fn markdown(own: &Benchmark, others: &[Benchmark]) -> String {
          of the ratio.\n\
          \n";
     page += &sequences(own);
-    let beside = beside(own, others);
-    if !beside.is_empty() {
+    let comparison = comparison(own, others);
+    if !comparison.is_empty() {
         page += "\n## Comparison with others\n\nTrajectory error in meters, by sequence.\n\n";
-        page += &beside;
+        page += &comparison;
     }
     page + &super::estimators::estimators(own, others) + &attention(own)
 }
@@ -156,7 +156,7 @@ fn figures_row(label: String, figures: &Figures, digits: usize) -> Vec<String> {
     cells
 }
 
-/// A mean, and over how many sequences, where some failed.
+/// A mean, with the number of sequences where some failed.
 fn mean_of(statistics: &Statistics, digits: usize) -> String {
     match (statistics.num_all(), statistics.num_failed) {
         (0, _) => NONE.to_owned(),
@@ -235,7 +235,7 @@ fn value(entry: &Entry, estimator: &Estimator) -> String {
     }
 }
 
-/// The estimators without reference methods, which have a section of their own.
+/// The estimators without reference methods, which have a separate section.
 fn main(set: &Benchmark) -> Vec<Estimator> {
     set.estimators().into_iter().filter(|estimator| !is_reference(estimator)).collect()
 }
@@ -248,8 +248,8 @@ fn remark(entry: &Entry) -> String {
     }
 }
 
-/// Ours, the others' and the paper's errors next to one another; empty where there is nothing to compare with.
-fn beside(own: &Benchmark, others: &[Benchmark]) -> String {
+/// Comparison of our errors with those of the others and the paper; empty if there is nothing to compare with.
+fn comparison(own: &Benchmark, others: &[Benchmark]) -> String {
     let published = paper::published();
     let sets: Vec<(&Benchmark, Vec<Estimator>)> = [own]
         .into_iter()

@@ -1,6 +1,6 @@
-//! Markdown tables whose columns also line up in a terminal.
+//! Markdown tables with columns aligned for terminals.
 
-/// Cell of a value that does not exist.
+/// Cell of a missing value.
 pub(super) const NONE: &str = "–";
 
 /// A number with its unit, if it exists.
@@ -36,7 +36,7 @@ impl Table {
         self.rows.len() < 2
     }
 
-    /// The first `num_left` columns stand left, the others right.
+    /// The first `num_left` columns are left-aligned, the others right-aligned.
     pub(super) fn render(&self, num_left: usize) -> String {
         let num_columns = self.rows.iter().map(Vec::len).max().unwrap_or(0);
         let cell = |row: &[String], k: usize| row.get(k).cloned().unwrap_or_default();
@@ -59,7 +59,7 @@ impl Table {
     }
 }
 
-/// Text that stays in its cell.
+/// Text escaped for a cell.
 fn cell_text(text: String) -> String {
     text.replace('|', "\\|").replace(['\n', '\r'], " ")
 }

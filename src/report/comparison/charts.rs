@@ -15,7 +15,7 @@ pub(super) fn charts(data: &Data) -> Vec<Drawing> {
         let mut points: Vec<(f64, f64)> =
             other.images.iter().filter_map(|image| Some((place(&image.name)?, value(image)?))).collect();
         points.sort_by(|a, b| a.0.total_cmp(&b.0));
-        // Few images are dots.
+        // Few images are drawn as dots.
         let (label, colour) = (other.subject.name.clone(), colour(k + 1).to_owned());
         Line { label, colour, points, dots: names.len() < 60, ..Line::default() }
     };
@@ -91,7 +91,7 @@ pub(in crate::report) fn histograms(sides: &[(&str, &ModelFigures, &str)]) -> Ve
         .collect()
 }
 
-/// (place, per cent) of bins; nothing where all are empty.
+/// (position, per cent) of bins; empty where all bins are.
 fn shares(bins: &[usize], start: f64, step: f64) -> Vec<(f64, f64)> {
     let total: usize = bins.iter().sum();
     if total == 0 {

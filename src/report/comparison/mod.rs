@@ -1,6 +1,6 @@
-//! The page of a comparison: all reconstructions in one 3D view, differences over images, histograms, every figure.
+//! Page of a comparison: all reconstructions in one 3D view, differences over images, histograms, all figures.
 //!
-//! It is made like the report ([`super`]): one file that loads nothing, with the report's style and 3D view.
+//! It is built like the report ([`super`]): one file without external resources, with the report's style and 3D view.
 
 pub(super) mod charts;
 mod scene;
@@ -15,10 +15,10 @@ use crate::scene::Reconstruction;
 
 const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("compare.js")];
 
-/// Colours of the reconstructions, the reference first; distinguished also by the colour-blind (after Okabe and Ito).
+/// Colors of the reconstructions, the reference first; distinguished also by the color-blind (after Okabe and Ito).
 const COLOURS: [&str; 7] = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#777777"];
 
-/// Images that a table lists of each reconstruction.
+/// Maximum number of images listed per reconstruction in a table.
 pub(super) const MAX_ROWS: usize = 200;
 
 /// Content of the page.
@@ -75,7 +75,7 @@ fn page_context(data: &Data) -> Value {
     }
 }
 
-/// The unit of lengths, and as it follows the number 1.
+/// The unit of lengths, and its singular.
 fn units(unit: LengthUnit) -> [&'static str; 2] {
     match unit {
         LengthUnit::Metre => ["meters", "meter"],
@@ -83,7 +83,7 @@ fn units(unit: LengthUnit) -> [&'static str; 2] {
     }
 }
 
-/// Main result, in a sentence.
+/// Main result in a sentence.
 fn sentence(other: &Against, comparison: &Comparison) -> String {
     let (name, reference) = (&other.subject.name, &comparison.reference.name);
     let (alignment, cameras) = match (other.alignment.as_ref(), other.cameras.as_ref()) {

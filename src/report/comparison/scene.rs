@@ -26,7 +26,7 @@ struct SceneSide {
     num_cameras: usize,
 }
 
-/// A camera: its centre, `view_from_cam` as w x y z, and half width and height of its picture at distance 1.
+/// A camera: its center, `view_from_cam` as w x y z, and half width and height of its image plane at distance 1.
 #[derive(Debug, Serialize)]
 struct SceneCamera {
     name: String,
@@ -91,7 +91,7 @@ fn side(name: &str, k: usize, model: &Reconstruction, lost: &[String], limit: us
     }
 }
 
-/// `None` where a number of it is none.
+/// `None` where a value is not finite.
 fn camera(model: &Reconstruction, image: &Image, lost: &[String], view: &View) -> Option<SceneCamera> {
     let pose = view.camera(&image.cam_from_world);
     let tangent = model.cameras.get(&image.camera).map_or([0.5, 0.3], |camera| {

@@ -43,7 +43,7 @@ fn hostile_names_are_escaped() {
 }
 
 #[test]
-fn what_has_no_cameras_has_a_page_too() {
+fn reconstruction_without_cameras_has_a_page() {
     let (ours, _) = sides();
     let nothing = Side { name: "nothing".into(), model: Reconstruction::default(), cost: None };
     assert!(page(&nothing, &ours).contains("cannot be compared with"));

@@ -31,19 +31,19 @@ pub(super) struct Card {
     portrait: Option<String>,
     verdict: verdict::Verdict,
     badge: &'static str,
-    /// True if the ground track is the answer.
+    /// True if the ground track is the reported result.
     is_on_ground: bool,
-    /// Place in the order of trust, the best first; a ground track comes before a rejected trajectory.
+    /// Rank by trust, the best first; a ground track comes before a rejected trajectory.
     trust: usize,
-    /// Place in the table: by trust, then by the number of positions, the most first.
+    /// Rank in the table: by trust, then by the number of positions, the most first.
     order: i64,
-    /// Size in a line of the table.
+    /// Size for the table.
     size: Option<String>,
     /// Meaning of the verdict for this vehicle.
     meaning: String,
-    /// Why there is no trajectory.
+    /// Reason for a missing trajectory.
     reason: Option<String>,
-    /// Evidence against the trajectory, the gravest first.
+    /// Evidence against the trajectory, the strongest first.
     against: Vec<String>,
     /// Evidence for it.
     in_favour: Vec<String>,
@@ -92,7 +92,7 @@ fn card(data: &Data, object: &Object, timeline: &Timeline, name: &str, view: Opt
     }
 }
 
-/// Size of a vehicle by its ground track, where that is the answer, or by its trajectory.
+/// Size of a vehicle by its ground track, where that is the reported result, or by its trajectory.
 fn size_in_brief(object: &Object) -> Option<String> {
     let of_trajectory = || object.trajectory.map(|trajectory| (trajectory.dimensions, trajectory.is_ruled_out()));
     let (size, is_ruled_out) = match object.answering_track() {
@@ -184,7 +184,7 @@ fn frames(object: &Object) -> Fact {
         .with_note(format!("registered in {found}"))
 }
 
-/// Path length, displacement and speeds; where there are none, why.
+/// Path length, displacement and speeds, or the reason for their absence.
 fn travel(trajectory: &ObjectTrajectory, timeline: &Timeline) -> Vec<Fact> {
     let poses = &trajectory.poses;
     let when = match (poses.first(), poses.last()) {

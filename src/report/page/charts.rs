@@ -13,23 +13,23 @@ use crate::report::overlay::{css_colour, object_colour};
 use crate::report::timeline::Timeline;
 use crate::scene::{Frame, FrameId, GroundPlane, GroundTrack, Image, ObjectId, ObjectPose, ObjectTrajectory, TimeBase};
 
-/// Vehicles with a raw line next to their smoothed one; of more the raw lines would hide one another.
+/// Maximum number of vehicles with a raw line next to the smoothed one; more raw lines would occlude one another.
 const MAX_RAW: usize = 3;
-/// The colour of what concerns the camera.
+/// Color of the camera's lines.
 const CAMERA: &str = "var(--camera)";
 
-/// The objects with a line of their own in the charts and a row of frame bars: the 16 with the most poses, by id.
+/// The objects with a separate line in the charts and a row of frame bars: the 16 with the most poses, by id.
 fn charted<'d>(data: &'d Data, names: &'d [String]) -> Vec<(&'d Object<'d>, &'d String)> {
     let mut objects: Vec<_> = data.objects.iter().zip(names).collect();
     let weight = |o: &Object| (o.trajectory.map_or(0, |t| t.poses.len()), o.visible.len());
     objects.sort_by_key(|(o, _)| (Reverse(weight(o)), o.id));
-    // Objects with a line of their own in the charts and a row of frame bars.
+    // Maximum number of objects with a separate line in the charts and a row of frame bars.
     objects.truncate(16);
     objects.sort_by_key(|(o, _)| o.id);
     objects
 }
 
-/// In which frames the camera was found: for the background, and for every vehicle.
+/// Registered frames of the background and of every vehicle.
 pub(super) fn bars(data: &Data, timeline: &Timeline, names: &[String]) -> Vec<Bars> {
     if data.frames.is_empty() {
         return Vec::new();
@@ -52,7 +52,7 @@ pub(super) fn bars(data: &Data, timeline: &Timeline, names: &[String]) -> Vec<Ba
     rows
 }
 
-/// All charts that have something to show.
+/// All non-empty charts.
 pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: &mut Vec<String>) -> Vec<Drawing> {
     let objects = charted(data, names);
     if objects.len() < data.objects.len() {
@@ -65,10 +65,10 @@ pub(super) fn charts(data: &Data, timeline: &Timeline, names: &[String], notes: 
     all.iter().chain(&[charts.reprojection()]).filter_map(|chart| chart.draw(timeline)).collect()
 }
 
-/// Returns true if a ground track has left its place by more than 3σ: charts of vehicles that stand show noise.
+/// Returns true if a ground track's displacement exceeds 3σ: charts of stationary vehicles show noise.
 fn has_moved(track: &GroundTrack) -> bool {
     let displacement = track.travel.as_ref().map(|travel| travel.displacement_units);
-    // Standard deviations of a displacement that is no noise.
+    // Minimum significant displacement, in standard deviations.
     displacement.is_some_and(|displacement| displacement.value > 3.0 * displacement.std)
 }
 
@@ -101,8 +101,8 @@ impl Charts<'_> {
         self.data.ground?.planes.get(&(object, frame))
     }
 
-    /// One line per vehicle: planes next to different vehicles differ, so that a mean of them would jump whenever one
-    /// of the vehicles comes or goes.
+    /// One line per vehicle: local planes of different vehicles differ, so that their mean would jump whenever a
+    /// vehicle enters or leaves.
     fn camera_height(&self) -> Chart {
         let images = self.data.background.images(self.data.frames);
         let images: BTreeMap<FrameId, &Image> =
@@ -144,7 +144,7 @@ impl Charts<'_> {
         Ruler::of(self.data.metric)
     }
 
-    /// Speed, acceleration and heading; the first from raw positions, and the others empty, where metres are unknown.
+    /// Speed, acceleration and heading; the first from raw positions, and the others empty, where meters are unknown.
     fn motion(&self) -> [Chart; 3] {
         let chart = |title: &str, unit: &str, caption: &str, quantity| Chart {
             title: title.into(),
@@ -180,8 +180,8 @@ impl Charts<'_> {
         [if is_known { speeds } else { self.raw_speeds() }, accelerations, headings]
     }
 
-    /// Vehicles whose motion may be read off, by their trajectories or ground tracks that move; all that have a
-    /// trajectory, where there is none.
+    /// Vehicles with a usable motion, by their trajectories or moving ground tracks; if there are none, all with a
+    /// trajectory.
     fn measured(&self) -> impl Iterator<Item = &(&Object<'_>, &String)> {
         let is_sure = |object: &Object| match object.answering_track() {
             Some(track) => has_moved(track),
@@ -191,7 +191,7 @@ impl Charts<'_> {
         self.objects.iter().filter(move |(object, _)| none && object.trajectory.is_some() || is_sure(object))
     }
 
-    /// A line per object with its band.
+    /// A line with its band per object.
     fn smoothed(&self, quantity: Quantity) -> Vec<Line> {
         let with_raw = self.measured().count() <= MAX_RAW;
         let line = |(object, name): &(&Object, &String)| {
@@ -286,7 +286,7 @@ mod tests {
     use super::*;
     use crate::report::testing;
 
-    /// The planes of a false detection lie elsewhere; the height over the car's own planes does not hear of them.
+    /// The planes of a false detection do not affect the height over the car's own planes.
     #[test]
     fn a_false_vehicle_does_not_move_the_height_over_another() {
         let mut world = testing::world();

@@ -6,7 +6,7 @@ use crate::report::timeline::Timeline;
 use crate::report::words::{LENGTH_UNIT, count, percent, share, thousands, with_unit};
 use crate::scene::{Ground, GroundSource, PlaneBasis};
 
-/// The figures, those first that a reader looks for first.
+/// The key figures, the most important first.
 pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
     let background = data.background.reconstruction;
     let with_trajectory = data.objects.iter().filter(|o| o.trajectory.is_some()).count();
@@ -48,7 +48,7 @@ pub(super) fn key_figures(data: &Data, timeline: &Timeline) -> Vec<Fact> {
     facts
 }
 
-/// In what lengths are reported, and how sure that is.
+/// Unit of lengths, and its uncertainty.
 fn unit(data: &Data) -> Fact {
     match data.metric.and_then(metres::frame) {
         Some(frame) => Fact::new("unit of length", "meter").with_note(format!("± {}", percent(frame.log_scale_std()))),
@@ -70,7 +70,7 @@ fn ground(data: &Data) -> Fact {
     Fact::new("ground", value).with_note(basis.unwrap_or_else(|| note.to_owned()))
 }
 
-/// Most common basis of the planes; of equally common ones the most reliable.
+/// Most common basis of the planes; the most reliable in a tie.
 fn commonest_basis(ground: &Ground) -> Option<PlaneBasis> {
     let count = |basis: &PlaneBasis| ground.planes.values().filter(|plane| plane.basis == *basis).count();
     PlaneBasis::ALL.into_iter().rev().max_by_key(count).filter(|basis| count(basis) > 0)

@@ -7,10 +7,10 @@ use crate::report::data::{Data, Missing, Model, Object};
 use crate::report::words::{count, plain};
 use crate::scene::{ObjectId, Verdict, first_of_each_topic, warning_text};
 
-/// Text where a stage left no reason.
+/// Text where a stage gave no reason.
 pub(super) const NO_REASON: &str = "no reason recorded";
 
-/// Everything that is not there, with the reason; vehicles that lack the same for the same reason are one entry.
+/// All missing results with their reasons; vehicles with the same gap and reason share an entry.
 pub(super) fn missing(data: &Data, names: &[String]) -> Vec<Missing> {
     let mut list = data.missing.clone();
     let mut lacking: Vec<(&str, String, Vec<String>)> = Vec::new();
@@ -43,7 +43,7 @@ fn lacks_result(data: &Data, object: &Object) -> bool {
     if data.is_sfm { object.model.is_none() } else { object.trajectory.is_none() }
 }
 
-/// The frames of a model whose camera was not found, gathered by reason; reasons that differ in numbers only are one.
+/// The unregistered frames of a model, grouped by reason; reasons that differ only in numbers are merged.
 fn unregistered(name: &str, model: &Model) -> Vec<Missing> {
     let mut by_reason: BTreeMap<Vec<&str>, (Vec<&str>, Vec<u32>)> = BTreeMap::new();
     for (frame, reason) in &model.unregistered {
@@ -63,7 +63,7 @@ fn words(reason: &str) -> Vec<&str> {
     reason.split(|c: char| c.is_ascii_digit()).filter(|word| !word.is_empty()).collect()
 }
 
-/// Reasons of the same words as one, their numbers as ranges. Numbers that are too long to compare stay as they are.
+/// Merges reasons of equal wording, with their numbers as ranges. Numbers too long to compare stay unchanged.
 fn merged(words: &[&str], reasons: &[&str]) -> String {
     let numbers = |reason: &str| -> Vec<Option<u64>> {
         reason.split(|c: char| !c.is_ascii_digit()).filter(|n| !n.is_empty()).map(|n| n.parse().ok()).collect()
@@ -86,21 +86,22 @@ fn merged(words: &[&str], reasons: &[&str]) -> String {
     parts.collect()
 }
 
-/// The warnings that say more than what is missing and the verdicts do, with the names that vehicles have on the page.
+/// The warnings that add to the gaps and the verdicts, with the vehicle names of the page.
 pub(super) fn warnings(data: &Data, names: &[String], missing: &[Missing]) -> Vec<String> {
     let judged = data.objects.iter().filter_map(|o| o.trajectory);
     let doubts = judged.clone().filter_map(|trajectory| trajectory.scale.reason.as_deref());
     let verdicts = judged.filter_map(|trajectory| trajectory.verdict.as_ref());
     let doubts = doubts.chain(verdicts.flat_map(Verdict::against).map(|reason| reason.says.as_str()));
-    let said: Vec<&str> = missing.iter().map(|m| m.reason.as_str()).chain(doubts).filter(|r| *r != NO_REASON).collect();
+    let known: Vec<&str> =
+        missing.iter().map(|m| m.reason.as_str()).chain(doubts).filter(|r| *r != NO_REASON).collect();
     let is_new =
-        |warning: &&String| !said.iter().any(|reason| !reason.is_empty() && warning_text(warning).ends_with(reason));
+        |warning: &&String| !known.iter().any(|reason| !reason.is_empty() && warning_text(warning).ends_with(reason));
     let ids: Vec<(ObjectId, &String)> = data.objects.iter().map(|o| o.id).zip(names).collect();
     let new = data.warnings.iter().filter(is_new).cloned().collect();
     first_of_each_topic(new).iter().map(|warning| plain(&named(warning, &ids))).collect()
 }
 
-/// A warning in which "object 2" is called what it is called everywhere on the page.
+/// A warning with the page's vehicle name in place of "object 2".
 fn named(warning: &str, names: &[(ObjectId, &String)]) -> String {
     const OBJECT: &str = "object ";
     let mut out = String::new();
@@ -123,7 +124,7 @@ mod tests {
     use crate::scene::FrameId;
 
     #[test]
-    fn what_is_said_elsewhere_is_no_warning_and_vehicles_have_one_name() {
+    fn warnings_are_not_repeated_and_vehicles_have_one_name() {
         let mut world = testing::world();
         world.trajectory.scale.reason = Some("nothing moves".into());
         world.warnings = [

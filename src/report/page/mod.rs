@@ -1,4 +1,4 @@
-//! From [`Data`] to the context of the template, and from there to text.
+//! Rendering of [`Data`] by the page's template.
 
 mod cards;
 mod charts;
@@ -28,7 +28,7 @@ use crate::report::words;
 use crate::scene::{ObjectId, TimeBase};
 
 pub(super) const STYLE: &str = include_str!("style.css");
-/// Scripts that every page with a 3D view has: errors first, then what draws.
+/// Scripts of every page with a 3D view: error handling first, then drawing.
 pub(super) const VIEW_SCRIPTS: [&str; 3] =
     [include_str!("errors.js"), include_str!("../../../third_party/three/three.min.js"), include_str!("view3d.js")];
 const SCRIPTS: [&str; 4] = [VIEW_SCRIPTS[0], VIEW_SCRIPTS[1], VIEW_SCRIPTS[2], include_str!("page.js")];
@@ -52,7 +52,7 @@ pub(super) fn fill(template: &str, context: Value) -> Result<String, ReportError
     environment.add_template("drawing", include_str!("drawing.html"))?;
     environment.add_template("page", template)?;
     let text = environment.get_template("page")?.render(context)?;
-    // HTML has no control characters; names of files can.
+    // HTML forbids control characters; file names may have them.
     Ok(text.replace(|letter: char| letter.is_control() && !matches!(letter, '\n' | '\t' | '\r'), "\u{fffd}"))
 }
 
@@ -116,12 +116,12 @@ fn parts(data: &Data) -> Vec<Value> {
     data.parts.iter().map(link).collect()
 }
 
-/// The name of an object, of which there may be nothing but a folder.
+/// The name of an object, which may have nothing but a folder.
 fn name_of(data: &Data, id: ObjectId) -> String {
     data.objects.iter().find(|o| o.id == id).map_or_else(|| format!("Object {id}"), words::name)
 }
 
-/// Times for `page.js`: in seconds, otherwise numbers of frames.
+/// Times for `page.js`: in seconds, otherwise frame numbers.
 fn clock(timeline: &Timeline) -> Value {
     let (start, end) = timeline.span();
     json(&serde_json::json!({ "start": start, "end": end, "seconds": timeline.base == TimeBase::Seconds }))
@@ -175,7 +175,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_that_found_nothing_has_a_page_too() {
+    fn empty_run_has_a_page() {
         let empty = crate::scene::Reconstruction::default();
         let data = testing::nothing(&empty);
         let page = render(&data).unwrap();

@@ -1,4 +1,4 @@
-//! The reconstructions themselves: their sizes, residuals, cameras and images.
+//! Tables of the reconstructions: their sizes, residuals, cameras and images.
 
 use std::collections::BTreeMap;
 
@@ -13,7 +13,7 @@ use crate::report::overlay::{css_colour, object_colour};
 use crate::report::words::{UNKNOWN, figure, thousands};
 use crate::scene::{CameraId, Reconstruction};
 
-/// Vehicles with a row and a line of their own, those with most points.
+/// Maximum number of vehicles with a separate row and line, those with most points.
 const MAX_VEHICLES: usize = 9;
 
 /// Models of the page.
@@ -21,7 +21,7 @@ const MAX_VEHICLES: usize = 9;
 pub(super) struct Models {
     rows: Vec<Row>,
     histograms: Vec<Drawing>,
-    /// Number of images, and intrinsics in words, of each camera of the background.
+    /// Number of images and description of the intrinsics of each camera of the background.
     cameras: Vec<[String; 2]>,
     /// Name, observations with a point, and mean residual of each image of the background, the largest first.
     images: Vec<[String; 3]>,

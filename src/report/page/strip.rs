@@ -1,4 +1,4 @@
-//! The strip of pictures, and the film.
+//! The strip of frame images, and the film.
 
 use base64::Engine;
 use base64::engine::general_purpose::STANDARD;
@@ -11,7 +11,7 @@ use crate::report::overlay::{Label, css_colour, object_colour, spread};
 use crate::report::pictures::FILM_RATE;
 use crate::report::timeline::Timeline;
 
-/// Bytes of JPEG in the strip; pictures are left out to keep to it.
+/// Maximum size of the strip's JPEG data, bytes; images beyond it are omitted.
 const MAX_STRIP_BYTES: usize = 5 << 19;
 
 #[derive(Debug, Serialize)]
@@ -22,7 +22,7 @@ struct PictureLabel {
     top: f64,
 }
 
-/// The film for `page.js`, its MP4 file in base64; `notes` says if it shows not every frame.
+/// The film for `page.js`, its MP4 file in base64; `notes` reports omitted frames.
 pub(super) fn film(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Option<serde_json::Value> {
     let film = data.pictures.film.as_ref()?;
     if film.frames.len() < data.frames.len() {
@@ -51,7 +51,7 @@ impl PictureLabel {
     }
 }
 
-/// The pictures that fit; `notes` says what was left out.
+/// The images within the size limit; `notes` reports omitted ones.
 pub(super) fn strip(data: &Data, timeline: &Timeline, notes: &mut Vec<String>) -> Vec<Value> {
     let total: usize = data.pictures.strip.iter().map(|t| t.jpeg.len()).sum();
     let limit = data.pictures.strip.len() * MAX_STRIP_BYTES / total.max(MAX_STRIP_BYTES);
@@ -83,7 +83,7 @@ mod tests {
     use crate::scene::FrameId;
 
     #[test]
-    fn the_strip_keeps_to_its_budget() {
+    fn strip_respects_its_budget() {
         let mut world = testing::world();
         let heavy = Thumbnail { frame: FrameId(0), width: 4, height: 3, jpeg: vec![7; 1 << 20], labels: Vec::new() };
         world.strip = vec![heavy; 20];

@@ -1,4 +1,4 @@
-//! Columns of a table by name and unit.
+//! Table columns by name and unit.
 
 use super::super::text::{KNOT_M_S, MPH_M_S, shown};
 
@@ -102,8 +102,8 @@ const NAMES: [(Column, &[&str]); 18] = [
     (Column::GimbalRoll, &["gimbalroll"]),
 ];
 
-/// First parts of names that state where a value comes from, not what it is (`OSD.latitude`, `Aircraft Latitude`,
-/// Metashape's `X/Longitude`). `home`, `max` and the like are none: they state another quantity.
+/// Prefixes of names that state the source of a value, not its quantity (`OSD.latitude`, `Aircraft Latitude`,
+/// Metashape's `X/Longitude`). `home`, `max` and similar words are not among them: they state another quantity.
 const PREFIXES: [&str; 14] = [
     "gps", "gnss", "rtk", "osd", "custom", "aircraft", "drone", "uav", "vehicle", "position", "location", "x", "y", "z",
 ];
@@ -120,12 +120,12 @@ const UNITS: [(Dimension, f64, &[&str]); 12] = [
     (Dimension::Speed, 1.0 / 3.6, &["km/h", "kmh"]),
     (Dimension::Speed, MPH_M_S, &["mph"]),
     (Dimension::Speed, KNOT_M_S, &["kn", "kt", "knots"]),
-    // Some logs write the range of an angle, 0 to 360, for its unit.
+    // Some logs write the range of an angle, 0 to 360, in place of its unit.
     (Dimension::Angle, 1.0, &["deg", "degrees", "°", "360"]),
     (Dimension::Angle, 180.0 / std::f64::consts::PI, &["rad"]),
 ];
 
-/// A column of the file that is used.
+/// A used column of the file.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct KnownColumn {
     pub(super) column: Column,
@@ -134,7 +134,7 @@ pub(super) struct KnownColumn {
     pub(super) unit: f64,
 }
 
-/// Unit of a column as its header states it.
+/// Unit of a column as stated in its header.
 #[derive(Clone, Debug, PartialEq)]
 enum Unit {
     Unstated,
@@ -153,7 +153,7 @@ impl Unit {
         }
     }
 
-    /// Returns true if a column's numbers can have it; of texts it is a zone or the like.
+    /// Returns true if a numeric column can have this unit; for text columns it is a time zone or similar.
     fn suits(&self, column: Column) -> bool {
         match self {
             Self::Unstated => true,
@@ -163,10 +163,10 @@ impl Unit {
     }
 }
 
-/// The columns of a header that are used: of several of one quantity that with the plainest name and a fitting unit.
+/// Selects the used columns of a header: for each quantity the one with the plainest name and a fitting unit.
 ///
 /// # Errors
-/// The problem with a unit, where a quantity has no other column.
+/// The problem of a unit, if a quantity has no other column.
 pub(super) fn columns<'a>(names: impl Iterator<Item = &'a str>) -> Result<Vec<KnownColumn>, String> {
     let names: Vec<&str> = names.collect();
     let is_of_receiver = has(names.iter().copied(), Column::VerticalStd);
@@ -174,12 +174,13 @@ pub(super) fn columns<'a>(names: impl Iterator<Item = &'a str>) -> Result<Vec<Kn
     for (index, full) in names.into_iter().enumerate() {
         let (name, unit) = split_unit(full);
         let (column, num_dropped) = match column_of(&name) {
-            // A height with an accuracy is the receiver's (phyphox, u-blox), unless another column is plainly that.
+            // A height with an accuracy is the receiver's (phyphox, u-blox), unless another column has that quantity
+            // explicitly.
             Some((Column::RelativeHeight, _)) if is_of_receiver && name == "height" => (Column::GpsHeight, 1),
             Some(found) => found,
             None => continue,
         };
-        // GoPro's extractors count in milliseconds, and do not say so.
+        // GoPro's extractors count in milliseconds without stating it.
         let unit = if unit == Unit::Unstated && name == "cts" { Unit::Known(Dimension::Time, 1e-3) } else { unit };
         let order = [usize::from(!unit.suits(column)), num_dropped, usize::from(unit == Unit::Unstated), index];
         candidates.push((column, order, full, unit));
@@ -192,7 +193,7 @@ pub(super) fn columns<'a>(names: impl Iterator<Item = &'a str>) -> Result<Vec<Kn
         }
         match unit {
             Unit::Unknown(unit) if column.dimension() != Dimension::Text => return Err(unknown_unit(full, &unit)),
-            // An accuracy in degrees is a flaw of the program that wrote it: the column counts for nothing.
+            // An accuracy in degrees is a bug of the writing program: the column is ignored.
             Unit::Known(..) if !unit.suits(column) => {}
             Unit::Known(_, unit) if column.dimension() != Dimension::Text => {
                 found.push(KnownColumn { column, index, unit });
@@ -203,7 +204,7 @@ pub(super) fn columns<'a>(names: impl Iterator<Item = &'a str>) -> Result<Vec<Kn
     Ok(found)
 }
 
-/// Returns true if one of the names is that of a quantity.
+/// Returns true if one of the names denotes a quantity.
 pub(super) fn has<'a>(mut names: impl Iterator<Item = &'a str>, column: Column) -> bool {
     names.any(|name| column_of(&split_unit(name).0).is_some_and(|(found, _)| found == column))
 }
@@ -213,7 +214,7 @@ fn unknown_unit(full: &str, unit: &str) -> String {
     format!("column {}: unknown unit {}; expected {}", shown(full), shown(unit), known.join(", "))
 }
 
-/// Units in a row below the header, by column; `None` if a cell is something else.
+/// Units in a row below the header, by column; `None` if a cell is not a unit.
 pub(super) fn units_row<'a>(cells: impl Iterator<Item = &'a str>) -> Option<Vec<Option<f64>>> {
     let mut any = false;
     let units = cells.map(|cell| match Unit::of(cell) {
@@ -237,7 +238,7 @@ pub(super) fn normalized(name: &str) -> String {
     name.chars().filter(|c| c.is_alphanumeric()).flat_map(char::to_lowercase).collect()
 }
 
-/// A name and its unit: that in the last brackets, or behind the last `_`.
+/// Splits a name from its unit, which is in the last brackets or after the last `_`.
 fn split_unit(name: &str) -> (String, Unit) {
     let name = name.trim().trim_matches('"').trim_end();
     if let Some((before, unit)) = name.strip_suffix([')', ']']).and_then(|open| open.rsplit_once(['(', '['])) {
@@ -255,7 +256,7 @@ fn split_unit(name: &str) -> (String, Unit) {
     }
 }
 
-/// Quantity of a name, and the number of prefixes that had to be dropped.
+/// Quantity of a name, and the number of dropped prefixes.
 fn column_of(name: &str) -> Option<(Column, usize)> {
     let mut rest = name;
     for num_dropped in 0..3 {

@@ -2,15 +2,15 @@
 
 use super::super::text::number;
 
-/// A table that has no header.
+/// Table format without a header.
 pub(super) struct Headerless {
     /// Its name in reports.
     pub(super) name: &'static str,
-    /// The header that it lacks, with commas.
+    /// Equivalent header, with commas.
     pub(super) header: &'static str,
-    /// Separator of its cells.
+    /// Cell separator.
     pub(super) delimiter: u8,
-    /// Returns true if a row of so separated cells is of this table.
+    /// Returns true if a row with this separator is of this format.
     recognizes: fn(&[&str]) -> bool,
 }
 
@@ -38,9 +38,9 @@ pub(super) const DIALECTS: [Headerless; 3] = [
     },
 ];
 
-/// The table that a text is, and the number of its lines before the first row.
+/// Recognizes the format of a text, and the number of lines before the first row.
 pub(super) fn recognize(text: &str) -> Option<(&'static Headerless, usize)> {
-    // A mark of the program's version or a projection goes before the first row.
+    // A program version or a projection may precede the first row.
     let mut lines = text.lines().enumerate().filter(|(_, line)| !line.trim().is_empty()).take(2);
     lines.find_map(|(before, line)| {
         let is_row = |dialect: &&Headerless| {
@@ -69,7 +69,7 @@ fn is_clock(text: &str) -> bool {
 }
 
 fn is_place(longitude: &str, latitude: &str) -> bool {
-    // Without decimals it is a counter or a projected coordinate.
+    // A number without decimals is a counter or a projected coordinate.
     let within = |text: &str, most: f64| text.contains('.') && number(text).is_some_and(|value| value.abs() <= most);
     within(longitude, 180.0) && within(latitude, 90.0)
 }

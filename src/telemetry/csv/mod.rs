@@ -1,8 +1,8 @@
-//! Tables: CSV with a header that names its columns, and a few without; `docs/telemetry.md` lists the names.
+//! Tables: CSV with a header of column names, and a few without; `docs/telemetry.md` lists the names.
 //!
-//! Names are compared without regard to case, blanks and punctuation. A unit is in brackets (`altitude [ft]`,
-//! `speed(mph)`), behind the last `_` (`height_m`, `time_ms`), or in a row below the header. Columns of other names are
-//! ignored. The header may come after other lines.
+//! Names are compared ignoring case, blanks and punctuation. A unit is in brackets (`altitude [ft]`, `speed(mph)`),
+//! after the last `_` (`height_m`, `time_ms`), or in a row below the header. Unknown columns are ignored. The header
+//! may follow other lines.
 
 mod columns;
 mod headerless;
@@ -19,7 +19,7 @@ use columns::{Column, KnownColumn, columns, normalized, units_row};
 /// The name in reports.
 pub(super) const DIALECT: &str = "csv";
 
-/// Lines of notes that may go before a header.
+/// Maximum number of lines before a header.
 const MAX_PREAMBLE: usize = 50;
 
 /// Returns true if a text is a table of fixes.
@@ -34,7 +34,7 @@ fn header(text: &str) -> Option<(usize, &str)> {
 
 /// Returns true if a line can be the header of a table of fixes.
 fn is_header(line: &str) -> bool {
-    // A unit that is not known is refused later.
+    // An unknown unit is refused later.
     let (has, is_place) =
         (|column| columns::has(line.split(delimiter(line)), column), [Column::Longitude, Column::Latitude]);
     is_place.into_iter().all(has)
@@ -64,10 +64,10 @@ pub(super) fn read(text: &str, path: &Path, empty: Log) -> Result<Log, Telemetry
     Ok(log)
 }
 
-/// A table below its header.
+/// Table below its header.
 struct Table {
     name: &'static str,
-    /// Lines before its rows.
+    /// Number of lines before its rows.
     first_line: usize,
     delimiter: u8,
     known: Vec<KnownColumn>,
@@ -86,7 +86,7 @@ impl Table {
             let record = match record {
                 Ok(record) => record,
                 Err(error) => {
-                    log.pass_over(line(error.position()), format!("row cannot be read ({error})"));
+                    log.skip_line(line(error.position()), format!("row cannot be read ({error})"));
                     continue;
                 }
             };
@@ -98,7 +98,7 @@ impl Table {
             }
             let line = line(record.position());
             match row::fix(&record, &self.known, self.delimiter != b',', line) {
-                Err(reason) => log.pass_over(line, reason),
+                Err(reason) => log.skip_line(line, reason),
                 Ok((fix, stated)) => {
                     any_clock |= fix.clock_s.is_some();
                     all_stated &= stated;
@@ -106,7 +106,7 @@ impl Table {
                 }
             }
         }
-        // Litchi's altitude is its ascent: the height above take-off again.
+        // Litchi's altitude duplicates its ascent, the height above take-off.
         if log.fixes.iter().all(|fix| fix.gps_height_m == fix.relative_height_m) {
             log.fixes.iter_mut().for_each(|fix| fix.gps_height_m = None);
         }
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn what_flight_loggers_write() {
+    fn tables_of_flight_loggers_are_read() {
         let log = table(
             "time(millisecond),datetime(utc),latitude,longitude,height_above_takeoff(feet),gimbal_heading(degrees),\
              gimbal_pitch(degrees)\n100,2022-08-07 13:40:40,48.5,9.25,100,180,-90\n",

@@ -1,4 +1,4 @@
-//! The fix in a row of a table.
+//! Fix from a row of a table.
 
 use super::super::coordinate;
 use super::super::fix::{Angles, Fix, Receiver};
@@ -7,12 +7,12 @@ use super::super::time;
 use super::columns::{Column, KnownColumn};
 use crate::scene::clock_in_seconds;
 
-/// The fix in a row, and whether its clock states its zone.
+/// Reads the fix of a row; the flag is false if its clock has no stated zone.
 ///
-/// * `has_commas` – true if cells are not separated by commas, so that one can be a decimal comma.
+/// * `has_commas` – true if cells are not separated by commas, so that a comma can be a decimal separator.
 ///
 /// # Errors
-/// Why there is none.
+/// The problem of the row.
 pub(super) fn fix(
     record: &::csv::StringRecord,
     known: &[KnownColumn],
@@ -54,13 +54,13 @@ struct Row<'a> {
     has_commas: bool,
 }
 
-/// Numbers above this are seconds after 1970 and no time in a video: it is 1973.
-const LEAST_CLOCK_S: f64 = 1e8;
+/// Minimum of seconds after 1970 (1973); smaller numbers are times in a video.
+const MIN_CLOCK_S: f64 = 1e8;
 
-/// 2100-01-01: a clock beyond is another quantity, or damaged.
-const LAST_CLOCK_S: f64 = 4_102_444_800.0;
+/// Maximum clock, 2100-01-01: a larger value is another quantity, or damaged.
+const MAX_CLOCK_S: f64 = 4_102_444_800.0;
 
-/// Time in the video, and time on the clock with whether its zone is known.
+/// Time in the video, and time on the clock with true if its zone is known.
 type Times = (Option<f64>, Option<(f64, bool)>);
 
 impl Row<'_> {
@@ -69,7 +69,7 @@ impl Row<'_> {
         known.and_then(|known| self.record.get(known.index)).unwrap_or_default().trim()
     }
 
-    /// A number as it is written, with a decimal point.
+    /// Number as text, with a decimal point.
     fn decimal(&self, column: Column) -> String {
         let text = self.text(column);
         let is_comma = self.has_commas && !text.contains('.') && text.matches(',').count() == 1;
@@ -83,8 +83,8 @@ impl Row<'_> {
 
     fn times(&self) -> Result<Times, String> {
         let (time, clock) = (self.text(Column::VideoTime), self.text(Column::Clock));
-        // “time” and “timestamp” may hold either.
-        let is_video = |column| self.value(column).filter(|time_s| *time_s < LEAST_CLOCK_S);
+        // “time” and “timestamp” may have either.
+        let is_video = |column| self.value(column).filter(|time_s| *time_s < MIN_CLOCK_S);
         let video_s = is_video(Column::VideoTime).or_else(|| is_video(Column::Clock));
         let of_day = [Column::TimeOfDay, Column::VideoTime].map(|column| self.text(column));
         let of_day = of_day.into_iter().find(|text| text.contains(':')).unwrap_or_default();
@@ -101,11 +101,11 @@ impl Row<'_> {
     }
 }
 
-/// The clock that a cell states.
+/// Clock stated in a cell.
 fn clock_of(text: &str) -> Result<Option<(f64, bool)>, String> {
     let Some(value) = number(text) else { return Ok(time::spelled_in_table_s(text)) };
-    match (value >= LEAST_CLOCK_S).then(|| clock_in_seconds(value)) {
-        Some(clock_s) if clock_s > LAST_CLOCK_S => Err(format!("time {}: after the year 2100", shown(text))),
+    match (value >= MIN_CLOCK_S).then(|| clock_in_seconds(value)) {
+        Some(clock_s) if clock_s > MAX_CLOCK_S => Err(format!("time {}: after the year 2100", shown(text))),
         clock_s => Ok(clock_s.map(|clock_s| (clock_s, true))),
     }
 }

@@ -1,8 +1,8 @@
 //! `[latitude: 48.1] [longitude: 9.2] [rel_alt: 12.5 abs_alt: 402.1] [gb_yaw: 90.0 gb_pitch: -45.0 gb_roll: 0.0]`:
 //! names and values in brackets, with or without a blank before the colon, several to a bracket in newer firmware.
 //!
-//! `rel_alt` counts from the place of take-off and `abs_alt` from the sea at standard pressure (DJI's Onboard SDK calls
-//! it fusion altitude). `altitude` alone is a height above take-off: files show it below the ground's own height.
+//! `rel_alt` is relative to the take-off point and `abs_alt` to sea level at standard pressure (DJI's Onboard SDK calls
+//! it fusion altitude). `altitude` alone is a height above take-off: in some files it is below the terrain height.
 
 use super::super::coordinate;
 use super::super::fix::{Angles, Fix};
@@ -20,7 +20,7 @@ pub(super) fn has_position(text: &str) -> bool {
     text.contains("[latitude")
 }
 
-/// Exposure without a position: the drone had no satellites, or its pilot keeps the place to himself.
+/// Exposure without a position: no satellites, or the pilot disabled positions.
 pub(super) fn is_camera(text: &str) -> bool {
     text.contains("[iso")
 }
@@ -58,8 +58,8 @@ pub(super) fn read(text: &str, line: usize) -> Result<Fix, String> {
     })
 }
 
-/// Focal length that would show as much on film, millimeters: 24.00 in newer firmware, 240 for the same in older one,
-/// which writes no decimals.
+/// 35 mm equivalent focal length, millimeters: 24.00 in newer firmware, 240 for the same in older firmware, which
+/// writes no decimals.
 pub(super) fn film_focal_mm(text: &str) -> Option<f64> {
     let (_, value) = values(text).into_iter().find(|(name, _)| *name == "focal_len")?;
     let focal_mm = if value.contains('.') { number(value)? } else { number(value)? / 10.0 };
@@ -71,7 +71,7 @@ fn angles<'a>(value: &impl Fn(&str) -> Option<&'a str>, names: [&str; 3]) -> Opt
     Some(Angles::from_degrees(yaw?, pitch?, roll?))
 }
 
-/// Names and values inside whole brackets.
+/// Names and values inside complete brackets.
 fn values(text: &str) -> Vec<(&str, &str)> {
     let mut values = Vec::new();
     for (group, _) in text.split('[').skip(1).filter_map(|group| group.split_once(']')) {

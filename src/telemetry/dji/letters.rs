@@ -1,6 +1,6 @@
-//! `GPS(W: -34.5670, N: 12.3450, 100) ReH:20`: Autel's, with a letter before every angle.
+//! `GPS(W: -34.5670, N: 12.3450, 100) ReH:20`: Autel's dialect, with a letter before every angle.
 //!
-//! Letters and signs are both written: a letter gives the sign of a positive number only.
+//! Letters and signs are both written: a letter determines the sign of a positive number only.
 
 use super::super::coordinate;
 use super::super::fix::Fix;

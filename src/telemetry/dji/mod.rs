@@ -1,8 +1,7 @@
-//! Subtitle files of drones, DJI's and Autel's: a registry of dialects, distinguished by what a block says.
+//! Drone subtitle files of DJI and Autel: a registry of dialects, recognized by the content of a block.
 //!
-//! The same drone writes another dialect after an update, and one dialect is written by many drones; hence a block is
-//! asked which dialect it is, and a file may change from one to another in its middle. A new dialect is a row of
-//! [`DIALECTS`].
+//! A drone can write another dialect after an update, and one dialect is written by many drones. The dialect is
+//! therefore recognized per block, and a file may change its dialect midway. A new dialect is a row of [`DIALECTS`].
 
 mod brackets;
 mod calls;
@@ -14,20 +13,20 @@ use super::srt::Subtitle;
 use super::summary::Range;
 use super::time;
 
-/// One way in which a drone writes down where it is.
+/// Subtitle dialect of a drone.
 pub(super) struct Dialect {
     /// Its name in reports and documents.
     pub(super) name: &'static str,
     /// Returns true if the text of a block (its lines joined by blanks) is of this dialect.
     pub(super) recognizes: fn(&str) -> bool,
-    /// The fix in such a text.
+    /// Reads the fix of such a text.
     ///
     /// # Errors
-    /// Why there is none.
+    /// The reason for a missing fix.
     pub(super) read: fn(&str, usize) -> Result<Fix, String>,
 }
 
-/// All dialects; the first that recognises a block reads it.
+/// All dialects; the first that recognizes a block reads it.
 pub(super) const DIALECTS: [Dialect; 9] = [
     Dialect { name: "autel", recognizes: letters::recognizes, read: letters::read },
     Dialect { name: "dji-brackets-two-heights", recognizes: brackets::has_two_heights, read: brackets::read },
@@ -40,7 +39,7 @@ pub(super) const DIALECTS: [Dialect; 9] = [
     Dialect { name: "dji-gps-barometer", recognizes: calls::is_barometer, read: calls::read_longitude_first },
 ];
 
-/// The dialect of a text.
+/// Recognizes the dialect of a text.
 pub(super) fn recognize(text: &str) -> Option<&'static Dialect> {
     DIALECTS.iter().find(|dialect| (dialect.recognizes)(text))
 }
@@ -52,10 +51,10 @@ pub(super) fn read_block(block: &Subtitle, log: &mut Log) {
         log.film_focal_mm = Some(Range::with(log.film_focal_mm, focal_mm));
     }
     match recognize(&text) {
-        None if text.is_empty() => log.pass_over(block.line, "block truncated after its time"),
-        None => log.pass_over(block.line, "block of unknown dialect, or truncated"),
+        None if text.is_empty() => log.skip_line(block.line, "block truncated after its time"),
+        None => log.skip_line(block.line, "block of unknown dialect, or truncated"),
         Some(dialect) => match (dialect.read)(&text, block.line) {
-            Err(reason) => log.pass_over(block.line, reason),
+            Err(reason) => log.skip_line(block.line, reason),
             Ok(fix) => {
                 let clock_s = clock_s(&block.lines);
                 log.push(dialect.name, Fix { video_s: block.start_s, clock_s, ..fix });
@@ -64,7 +63,7 @@ pub(super) fn read_block(block: &Subtitle, log: &mut Log) {
     }
 }
 
-/// The date and time in a block: a line begins with them, or `HOME(...)` stands before them.
+/// Date and time of a block: at the start of a line, or before `HOME(...)`.
 fn clock_s(lines: &[&str]) -> Option<f64> {
     lines.iter().find_map(|line| {
         let after_home = line.starts_with("HOME").then(|| line.split_once(')')).flatten().map(|(_, after)| after);
@@ -208,7 +207,7 @@ mod tests {
     }
 
     #[test]
-    fn what_gives_no_fix_says_why() {
+    fn blocks_without_a_fix_have_a_reason() {
         assert!(reason(&["2018-02-19 08:04:51,265,847", "[iso : 100] [ct : 5627]"]).contains("camera settings only"));
         assert!(reason(&["[latitude: 0.000000] [longitude: 0.000000] [rel_alt: 0 abs_alt: 0]"]).contains("(0, 0)"));
         assert!(reason(&["[iso : 100] [latitude: 1.5] [longit"]).contains("longitude"));

@@ -1,7 +1,7 @@
 //! `F/5.6, SS 400, ISO 100, EV 0, GPS (-58.851745, -34.237922, 15), HOME (...), D 698.70m, H 85.80m, H.S 2.88m/s,
 //! V.S 0.00m/s, F.PRY (2.7°, -7.0°, 110.1°), G.PRY (-24.4°, 0.0°, 110.4°)`: words and numbers between commas.
 //!
-//! In GPS stand longitude, latitude and the number of satellites. H is the height above take-off, H.S the horizontal
+//! `GPS` has longitude, latitude and the number of satellites. H is the height above take-off, H.S the horizontal
 //! speed; F.PRY and G.PRY are pitch, roll and yaw of the drone and of its gimbal, degrees.
 
 use super::super::coordinate;
@@ -26,7 +26,7 @@ pub(super) fn read(text: &str, line: usize) -> Result<Fix, String> {
     })
 }
 
-/// The number behind a word; `None` of “n/a”.
+/// Number after a word; `None` for “n/a”.
 fn word(text: &str, name: &str) -> Option<f64> {
     leading_number(text.split_once(name)?.1).map(|(value, _)| value)
 }

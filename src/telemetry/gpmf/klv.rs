@@ -1,6 +1,6 @@
 //! Entries of GPMF: key, type, size and number of samples, then the samples, big-endian and padded to four bytes.
 
-/// One entry.
+/// Entry of GPMF.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Entry<'a> {
     /// Four letters.
@@ -9,12 +9,12 @@ pub(super) struct Entry<'a> {
     kind: u8,
     /// Bytes of a sample.
     size: usize,
-    /// Whole samples only; those that a damaged file states and does not hold are missing.
+    /// Complete samples only; samples that a damaged file declares but does not contain are missing.
     pub(super) data: &'a [u8],
 }
 
-/// Entries of a stretch of bytes, up to its end, padding, or the first entry that is cut off. Every step goes forward
-/// by at least the head of an entry.
+/// Iterates over the entries of a byte range, up to its end, padding, or the first truncated entry. Every step advances
+/// by at least the header of an entry.
 pub(super) fn entries(bytes: &[u8]) -> impl Iterator<Item = Entry<'_>> {
     let mut rest = bytes;
     std::iter::from_fn(move || {
@@ -33,7 +33,7 @@ pub(super) fn entries(bytes: &[u8]) -> impl Iterator<Item = Entry<'_>> {
 }
 
 impl<'a> Entry<'a> {
-    /// Entries inside, if it is one that nests.
+    /// Entries inside a nested entry.
     pub(super) fn nested(&self) -> impl Iterator<Item = Entry<'a>> + use<'a> {
         entries(if self.kind == 0 { self.data } else { &[] })
     }
@@ -43,10 +43,10 @@ impl<'a> Entry<'a> {
         self.data.len().checked_div(self.size).unwrap_or(0)
     }
 
-    /// First `N` numbers of a sample, unscaled; `None` where it has fewer, or of unknown type. Samples are read one by
-    /// one: those of a damaged file may be many, and a byte each.
+    /// First `N` numbers of a sample, unscaled; `None` if it has fewer, or of unknown type. Samples are read one by
+    /// one: a damaged file may have many samples of one byte each.
     ///
-    /// * `types` – types of a sample's numbers where the entry leaves them to `TYPE`.
+    /// * `types` – types of a sample's numbers if the entry refers to `TYPE`.
     pub(super) fn sample<const N: usize>(&self, index: usize, types: &[u8]) -> Option<[f64; N]> {
         let sample = self.data.chunks_exact(self.size.max(1)).nth(index)?;
         let (mut numbers, mut at) = ([0.0; N], 0);
@@ -69,17 +69,17 @@ impl<'a> Entry<'a> {
         self.data.chunks_exact(width).take(most).filter_map(|bytes| number(self.kind, bytes)).collect()
     }
 
-    /// Text up to its first zero; control characters and letters beyond ASCII are replaced.
+    /// Text up to its first zero; control characters and non-ASCII characters are replaced.
     pub(super) fn text(&self) -> String {
-        /// Names of cameras have a dozen letters.
-        const MOST: usize = 64;
+        /// Maximum length of a text; names of cameras have a dozen letters.
+        const MAX_CHARS: usize = 64;
         let shown = |byte: &u8| if byte.is_ascii_graphic() || *byte == b' ' { char::from(*byte) } else { '?' };
-        let text: String = self.data.iter().take_while(|byte| **byte != 0).take(MOST).map(shown).collect();
+        let text: String = self.data.iter().take_while(|byte| **byte != 0).take(MAX_CHARS).map(shown).collect();
         text.trim().to_owned()
     }
 }
 
-/// Bytes of a number.
+/// Number of bytes of a number.
 fn width(kind: u8) -> Option<usize> {
     match kind {
         b'b' | b'B' => Some(1),
@@ -90,7 +90,7 @@ fn width(kind: u8) -> Option<usize> {
     }
 }
 
-/// The number at the beginning of some bytes.
+/// Parses the number at the start of a byte slice.
 fn number(kind: u8, bytes: &[u8]) -> Option<f64> {
     let two = || bytes.first_chunk::<2>();
     let four = || bytes.first_chunk::<4>();
@@ -106,7 +106,7 @@ fn number(kind: u8, bytes: &[u8]) -> Option<f64> {
         b'd' => f64::from_be_bytes(*eight()?),
         b'j' => i64::from_be_bytes(*eight()?) as f64,
         b'J' => u64::from_be_bytes(*eight()?) as f64,
-        // Fixed point: 16 or 32 bits behind the point.
+        // Fixed point: 16 or 32 fractional bits.
         b'q' => f64::from(i32::from_be_bytes(*four()?)) / 65_536.0,
         b'Q' => i64::from_be_bytes(*eight()?) as f64 / 4_294_967_296.0,
         _ => return None,
@@ -144,7 +144,7 @@ mod tests {
         let found: Vec<Entry> = entries(&bytes).collect();
         assert_eq!((found.len(), found[0].numbers(9)), (1, vec![1.0, 2.0]));
         assert_eq!(entries(b"AAAA\0\0").count() + entries(&[0; 64]).count(), 0);
-        // Sizes of zero go forward as well.
+        // Sizes of zero advance as well.
         assert_eq!(entries(&b"AAAAl\0\xff\xff".repeat(3)).count(), 3);
     }
 }

@@ -5,7 +5,7 @@ use serde::Serialize;
 use super::devices;
 use super::klv::Entry;
 
-/// Camera and lens as the camera states them.
+/// Camera and lens as stated by the camera.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Lens {
     /// Name of the camera.
@@ -22,11 +22,11 @@ pub struct Lens {
     pub polynomial: Vec<f64>,
     /// Factor of the radius (over half the diagonal of `size`) before it enters the polynomial (`ZMPL`).
     pub radius_factor: Option<f64>,
-    /// Width and height of the images that the polynomial is about, pixels.
+    /// Width and height of the images of the polynomial, pixels.
     pub size: Option<[f64; 2]>,
 }
 
-/// Reads the container's settings; `None` if they say nothing of camera and lens.
+/// Reads the container's settings; `None` if they contain no camera or lens.
 pub(super) fn read(settings: &[u8]) -> Option<Lens> {
     let mut lens = Lens::default();
     for entry in devices(settings).flat_map(|device| device.nested()) {
@@ -70,7 +70,7 @@ fn field_of_view(letter: &str) -> &str {
 }
 
 impl Lens {
-    /// One line for people.
+    /// Formats camera and lens as one line.
     pub(in crate::telemetry) fn as_text(&self) -> String {
         let degrees = self.diagonal_deg.map(|degrees| format!("diagonal field of view {degrees:.1}°"));
         let stabilized = self.is_stabilized.map(|is| if is { "stabilized" } else { "not stabilized" }.to_owned());

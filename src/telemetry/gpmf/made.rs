@@ -1,14 +1,14 @@
-//! Small streams of GPMF for tests.
+//! Small GPMF streams for tests.
 
 use crate::scene::Timed;
 
-/// Payloads of a second each.
+/// Payloads of one second each.
 pub(crate) fn payloads(seconds: &[Vec<u8>]) -> Vec<Timed<Vec<u8>>> {
     let numbered = (0u32..).map(f64::from).zip(seconds);
     numbered.map(|(start_s, data)| Timed { start_s, end_s: start_s + 1.0, content: data.clone() }).collect()
 }
 
-/// An entry with samples of `size` bytes.
+/// Creates an entry with samples of `size` bytes.
 pub(crate) fn entry(key: &[u8; 4], kind: u8, size: u8, data: &[u8]) -> Vec<u8> {
     let count = (data.len() / usize::from(size)) as u16;
     let mut bytes = [&key[..], &[kind, size], &count.to_be_bytes(), data].concat();
@@ -16,7 +16,7 @@ pub(crate) fn entry(key: &[u8; 4], kind: u8, size: u8, data: &[u8]) -> Vec<u8> {
     bytes
 }
 
-/// An entry of entries.
+/// Creates an entry of entries.
 pub(crate) fn nest(key: &[u8; 4], parts: &[Vec<u8>]) -> Vec<u8> {
     entry(key, 0, 1, &parts.concat())
 }
@@ -68,7 +68,7 @@ fn gps9(second: i32, lock: i16) -> Vec<u8> {
     )
 }
 
-/// Gravity straight down in the body, whose image is turned by a quarter about its axis; the camera has not turned.
+/// Gravity straight down in the body, image rotated by a quarter turn about its axis, camera not rotated.
 fn attitude() -> Vec<Vec<u8>> {
     let stream = |key, size, values: &[i16]| {
         nest(b"STRM", &[entry(b"SCAL", b's', 2, &shorts(&[32_767])), entry(key, b's', size, &shorts(values))])
@@ -90,12 +90,12 @@ pub(crate) fn max(second: i32) -> Vec<u8> {
     nest(b"DEVC", &streams)
 }
 
-/// One second of a HERO13, of which the receiver has a lock of `lock` dimensions; HERO11 writes both forms.
+/// One second of a HERO13 whose receiver has a lock of `lock` dimensions; HERO11 writes both forms.
 pub(crate) fn hero(second: i32, lock: i16) -> Vec<u8> {
     nest(b"DEVC", &[gps5(second), gps9(second, lock)])
 }
 
-/// Settings of the camera, as the container keeps them.
+/// Camera settings as stored in the container.
 pub(crate) fn settings() -> Vec<u8> {
     let float = |value: f32| value.to_be_bytes().to_vec();
     let polynomial: Vec<u8> =

@@ -2,7 +2,7 @@
 //!
 //! A track of the container has a payload per second, of devices (`DEVC`) with streams (`STRM`). Read are positions
 //! (`GPS9`, otherwise `GPS5` with `GPSU`, `GPSF`, `GPSP`), attitude (`CORI`, `IORI`), gravity (`GRAV`), exposure time
-//! (`SHUT`); camera and lens from the container's settings. Samples are spread evenly over the time of their payload.
+//! (`SHUT`); camera and lens from the container's settings. Sample times are interpolated linearly over their payload.
 //!
 //! Axes of attitude and gravity are those of OpenCV's camera (x right, y down, z forward); `CORI` turns those at the
 //! start of the recording into those of the body, `IORI` those of the body into those of the stabilized image. Checked
@@ -29,7 +29,7 @@ use crate::scene::Timed;
 const GPS9: &str = "gpmf-gps9";
 const GPS5: &str = "gpmf-gps5";
 
-/// Returns true if a file begins as GPMF does.
+/// Returns true if a file starts with GPMF.
 pub(super) fn is_gpmf(head: &[u8]) -> bool {
     head.starts_with(b"DEVC\0")
 }
@@ -47,8 +47,8 @@ pub(super) fn read(payloads: &[Timed<Vec<u8>>], settings: &[u8], empty: Log) -> 
     reading.finish()
 }
 
-/// Reads a track that was extracted from its video, without the times of its payloads: one per second. Only the
-/// receiver's clock remains.
+/// Reads a track extracted from its video, one payload per second, without payload times. Only the receiver's clock
+/// remains.
 pub(super) fn read_raw(bytes: &[u8], empty: Log) -> Log {
     let mut reading = Reading::new(has_key(bytes, b"GPS9"), empty);
     for (number, device) in (1..).zip(devices(bytes)) {
@@ -68,15 +68,15 @@ fn has_key(data: &[u8], key: &[u8; 4]) -> bool {
     devices(data).flat_map(|device| device.nested()).any(|stream| stream.nested().any(|entry| entry.key == *key))
 }
 
-/// Beginning and end, seconds.
+/// Start and end, seconds.
 type Span = (f64, f64);
 
-/// State of reading.
+/// State of the reader.
 struct Reading {
     log: Log,
-    /// Cameras that write both forms of positions have the better ones in `GPS9`.
+    /// True if any payload has `GPS9`; cameras that write both forms have the better positions in it.
     has_gps9: bool,
-    /// The receiver's time minus the video's, seconds.
+    /// Receiver time minus video time, seconds.
     clocks_s: Vec<f64>,
 }
 
@@ -109,7 +109,7 @@ impl Properties<'_> {
     }
 }
 
-/// Divisor of a number: one for all, or one for each.
+/// Divisor of a number: one for all numbers, or one for each.
 fn scale(scales: &[f64], field: usize) -> f64 {
     if scales.len() == 1 { scales[0] } else { scales.get(field).copied().unwrap_or(1.0) }
 }
@@ -165,9 +165,9 @@ impl Reading {
         for index in 0..entry.len() {
             let video_s = time_s(span, index, entry.len());
             match position(entry, known, index, dialect) {
-                Err(reason) => self.log.pass_over(number, reason),
+                Err(reason) => self.log.skip_line(number, reason),
                 Ok((fix, utc_s)) => {
-                    // The time of `GPSU` is that of its payload.
+                    // The time of `GPSU` applies to its payload.
                     let at_s = if dialect == GPS5 { span.0 } else { video_s };
                     self.clocks_s.extend(utc_s.map(|utc_s| utc_s - at_s));
                     self.log.push(dialect, Fix { line: number, video_s: Some(video_s), ..fix });
@@ -195,7 +195,7 @@ impl Reading {
             };
             let down_in_body = found.gravity.as_ref().and_then(|(entry, scales)| {
                 let down: [f64; 3] = scaled(entry, scales, same_time(index, num, entry.len())?, &[])?;
-                Vector3::from(down).try_normalize(LEAST_NORM)
+                Vector3::from(down).try_normalize(MIN_NORM)
             });
             let sample = CameraSample {
                 video_s: time_s(span, index, num),
@@ -211,7 +211,7 @@ impl Reading {
     fn finish(mut self) -> Log {
         self.log.camera.sort_by(|a, b| a.video_s.total_cmp(&b.video_s));
         match median(self.clocks_s) {
-            // One offset for all: single times of a receiver are late by up to two seconds.
+            // One offset for all fixes: single times of a receiver are late by up to two seconds.
             Some(clock_s) => self.log.fixes.iter_mut().for_each(|fix| fix.clock_s = fix.video_s.map(|s| s + clock_s)),
             None => self.log.clock = ClockKind::Absent,
         }
@@ -219,10 +219,10 @@ impl Reading {
     }
 }
 
-/// Shorter vectors and quaternions have no direction: the camera writes zeros while it has none.
-const LEAST_NORM: f64 = 0.5;
+/// Minimum norm of a vector or quaternion with a direction: the camera writes zeros while it has none.
+const MIN_NORM: f64 = 0.5;
 
-/// Sample of a stream of `len` that is nearest to sample `index` of `num`.
+/// Sample of a stream of `len` nearest to sample `index` of `num`.
 fn same_time(index: usize, num: usize, len: usize) -> Option<usize> {
     (len > 0).then(|| (index * len / num.max(1)).min(len - 1))
 }
@@ -230,10 +230,10 @@ fn same_time(index: usize, num: usize, len: usize) -> Option<usize> {
 fn rotation(stream: &Option<(Entry, Vec<f64>)>, index: usize, num: usize) -> Option<UnitQuaternion<f64>> {
     let (entry, scales) = stream.as_ref()?;
     let [w, x, y, z] = scaled(entry, scales, same_time(index, num, entry.len())?, &[])?;
-    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), LEAST_NORM)
+    UnitQuaternion::try_new(Quaternion::new(w, x, y, z), MIN_NORM)
 }
 
-/// A position and its time, seconds after 1970.
+/// Position and its time, seconds after 1970.
 fn position(entry: &Entry, known: &Properties, index: usize, dialect: &str) -> Result<(Fix, Option<f64>), String> {
     let damaged = || "sample without five numbers: the stream is damaged".to_owned();
     let [latitude_deg, longitude_deg, height_m, speed_m_s, _] = known.scaled(entry, index).ok_or_else(damaged)?;
@@ -312,7 +312,7 @@ mod tests {
         assert_eq!(log.camera.len(), 2);
         let sample = log.camera[1];
         assert_eq!(sample.video_s, 0.5);
-        // A quarter turn about z brings the body's y to the image's −x.
+        // A quarter turn about z maps the body's y to the image's −x.
         assert!((sample.down_in_image.unwrap() + Vector3::x()).norm() < 1e-4, "{sample:?}");
         assert!((sample.image_from_start.unwrap() * Vector3::y() + Vector3::x()).norm() < 1e-4, "{sample:?}");
     }

@@ -1,4 +1,4 @@
-//! OpenCV follows the same points.
+//! Comparison with OpenCV's tracker.
 
 use ::opencv::core::{Mat, Point2f, Size, TermCriteria, Vector};
 use ::opencv::video::OPTFLOW_USE_INITIAL_FLOW;

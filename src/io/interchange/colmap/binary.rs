@@ -16,7 +16,7 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 /// Mark in a binary file of an observation without a point.
 const NO_POINT: u64 = u64::MAX;
 
-/// Fewest bytes that one camera, image, observation, point or track element takes.
+/// Minimum bytes of one camera, image, observation, point or track element.
 const MIN_BYTES: [usize; 5] = [24 + 2 * 8, 64 + 8 + 1, 24, 43 + 8, 8];
 
 pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {

@@ -1,4 +1,4 @@
-//! Cameras as COLMAP's files describe them.
+//! Cameras as described in COLMAP's files.
 
 use std::path::Path;
 
@@ -7,13 +7,13 @@ use crate::io::IoError;
 use crate::io::interchange::assembly::foreign_camera;
 use crate::scene::{CameraForm, CameraId, Reconstruction};
 
-/// The error about a camera of a model that is not known at all.
+/// Error about a camera of an unknown model.
 pub fn unknown(path: &Path, id: CameraId, model: &str) -> IoError {
     let cure = "convert it to OPENCV with the COLMAP version that wrote it";
     IoError::unsupported(path, format!("camera {}: camera model {model}", id.0), cure)
 }
 
-/// Refuses a camera that cannot be projected with.
+/// Refuses a camera that cannot project.
 pub fn refuse_foreign(path: &Path, model: &Reconstruction) -> Result<(), IoError> {
     let Some((id, model)) = model.first_foreign() else { return Ok(()) };
     let detail = if model == Model::FullOpenCv.name() { " with k4, k5 or k6" } else { "" };
@@ -29,8 +29,8 @@ pub fn camera(model: Model, width: u32, height: u32, params: Vec<f64>) -> (Camer
     }
 }
 
-/// The model and parameters under which a camera is written: those of its file if they still hold it, else the smallest
-/// model that does.
+/// Model and parameters under which a camera is written: those of its file if they still represent it, otherwise the
+/// smallest model that does.
 pub fn written(model: &Reconstruction, id: CameraId, camera: &Camera) -> (Model, Vec<f64>) {
     let smallest = || {
         let smallest = Model::of(camera);

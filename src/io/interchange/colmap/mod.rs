@@ -1,15 +1,15 @@
 //! COLMAP models: `cameras`, `images` and `points3D`, as text (`.txt`) or binary (`.bin`).
 //!
 //! The formats are those of COLMAP's documentation, `doc/format.rst`. Poses are `cam_from_world`, quaternions w x y z,
-//! the corner of the image is (0, 0): as everywhere in this program, so nothing is converted. `rigs` and `frames`,
-//! which COLMAP has next to since version 3.12, are written (see `rigs`) and are not needed to read a model.
+//! the corner of the image is (0, 0): as everywhere in this program, so nothing is converted. `rigs` and `frames`, part
+//! of COLMAP's models since version 3.12, are written (see `rigs`) and are not needed to read a model.
 //!
-//! A camera is written under the model of the file that it came from, if that still holds it. Those that this program
-//! found are written as the smallest model that holds them: one focal length as `SIMPLE_PINHOLE`, `SIMPLE_RADIAL` or
-//! `RADIAL`, so that an adjustment by others keeps it one.
+//! A camera is written under the model of its source file, if that still represents it. Cameras estimated by this
+//! program are written as the smallest model that represents them: one focal length as `SIMPLE_PINHOLE`,
+//! `SIMPLE_RADIAL` or `RADIAL`, so that an adjustment by other programs keeps it one.
 //!
 //! Only registered images are written, as COLMAP does. Numbers in text files are the shortest that read back as the
-//! same double, so both forms give back exactly what was written.
+//! same double, so both forms round-trip exactly.
 
 mod binary;
 mod camera_model;
@@ -32,7 +32,7 @@ pub(super) use camera_model::refuse_foreign;
 pub(super) use camera_model::written as written_camera;
 pub use rigs::num_of_several as num_rigs_of_several;
 
-/// Cameras by id, and how the file describes them.
+/// Cameras by id, and their form in the file.
 type Cameras = (BTreeMap<CameraId, Camera>, BTreeMap<CameraId, CameraForm>);
 
 /// Reads the model in a folder for geometry: binary if `cameras.bin` is there, else text.
@@ -48,8 +48,7 @@ pub fn read(folder: &Path) -> Result<Reconstruction, IoError> {
 /// As [`read`], for comparing and converting: cameras of every model that COLMAP has.
 ///
 /// # Errors
-/// A missing file, a wrong field (with its place), a camera model that is not known, or parts that refer to what is not
-/// there.
+/// A missing file, an invalid field (with its position), an unknown camera model, or dangling references.
 pub fn read_any(folder: &Path) -> Result<Reconstruction, IoError> {
     let mut model = Reconstruction::default();
     if folder.join("cameras.bin").exists() {
@@ -74,12 +73,12 @@ pub const TEXT_FILES: [&str; 5] = ["cameras.txt", "images.txt", "points3D.txt", 
 /// Names of a model's files as binary.
 pub const BINARY_FILES: [&str; 5] = ["cameras.bin", "images.bin", "points3D.bin", "rigs.bin", "frames.bin"];
 
-/// Returns true if a file has the name of one of a model's.
+/// Returns true if a name is that of a model's file.
 pub fn is_file_name(name: &str) -> bool {
     TEXT_FILES.contains(&name) || BINARY_FILES.contains(&name)
 }
 
-/// Reads the cameras of one file alone, for geometry: `cameras.txt`, or `cameras.bin` if the name ends so.
+/// Reads the cameras of one file, for geometry: `cameras.txt`, or `cameras.bin` if the name ends so.
 ///
 /// # Errors
 /// As [`read`].
@@ -91,7 +90,7 @@ pub fn read_cameras(path: &Path) -> Result<BTreeMap<CameraId, Camera>, IoError> 
     Ok(model.cameras)
 }
 
-/// Returns true if a folder holds a COLMAP model, by its file names.
+/// Returns true if a folder contains a COLMAP model, by its file names.
 pub fn is_model(folder: &Path) -> bool {
     folder.join("cameras.bin").exists() || folder.join("cameras.txt").exists()
 }
@@ -122,7 +121,7 @@ pub fn write(folder: &Path, model: &Reconstruction, encoding: Encoding) -> Resul
     }
 }
 
-/// Refuses names of images that COLMAP's reader of text would cut at a blank.
+/// Refuses image names that COLMAP's reader of text would truncate at a blank.
 pub(super) fn check_text_names(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     match model.images.values().find(|image| image.name.contains(char::is_whitespace)) {
         None => Ok(()),
@@ -136,8 +135,8 @@ pub(super) fn check_text_names(folder: &Path, model: &Reconstruction) -> Result<
 /// Writes a model as text, [`TEXT_FILES`], each whole.
 ///
 /// # Errors
-/// A system error, or a number that is not finite, or an image name that cannot stand in a line of text, or a binary
-/// model in the same folder: every reader would take that one.
+/// A system error, or a number that is not finite, or an image name that cannot be part of a line of text, or a binary
+/// model in the same folder: every reader would prefer that one.
 pub fn write_text(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     check_writable(folder, model)?;
     check_text_names(folder, model)?;
@@ -170,8 +169,8 @@ fn unit_quaternion([w, x, y, z]: [f64; 4]) -> Result<UnitQuaternion<f64>, String
         .ok_or_else(|| format!("quaternion ({w}, {x}, {y}, {z}) is not a rotation"))
 }
 
-/// The parts of a model must refer to one another: each track element to an observation that names its point, and each
-/// observation with a point to a track that holds it.
+/// Checks that the parts of a model refer to one another: each track element to an observation with its point, and each
+/// observation with a point to a track with that observation.
 fn check_references(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     let problem = |text: String| Err(IoError::content(folder, text));
     for (id, image) in &model.images {
@@ -206,7 +205,7 @@ fn sees(model: &Reconstruction, image: ImageId, observation_idx: u32, point: Poi
     observations.and_then(|o| o.get(observation_idx as usize)).is_some_and(|o| o.point == Some(point))
 }
 
-/// Checks that the files can hold the model, before anything is written.
+/// Checks that the files can represent the model, before anything is written.
 fn check_writable(folder: &Path, model: &Reconstruction) -> Result<(), IoError> {
     check_finite(folder, model)?;
     if let Some((id, _)) = model.camera_forms.iter().find(|(_, form)| **form == CameraForm::Unknown) {

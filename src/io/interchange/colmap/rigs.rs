@@ -1,8 +1,8 @@
 //! `rigs` and `frames`, which COLMAP writes next to a model since version 3.12.
 //!
-//! A rig is a set of cameras that are fixed to one another, a frame what they saw at one moment. Here every camera is a
-//! rig of its own and every image a frame of its own, under the same ids: what COLMAP makes up where the files are
-//! missing. Older versions, and other programs, do not look at them.
+//! A rig is a set of cameras that are fixed to one another, a frame their images at one time. Here every camera is a
+//! rig of its own and every image a frame of its own, under the same ids: COLMAP's own default if the files are
+//! missing. Older versions and other programs ignore them.
 
 use std::io::Write;
 use std::path::Path;
@@ -56,8 +56,8 @@ pub fn write_frames_binary(out: &mut dyn Write, model: &Reconstruction) -> std::
     Ok(())
 }
 
-/// Number of rigs with several sensors in a folder's model; none where no file says so, or one that cannot be read:
-/// nothing depends on it.
+/// Number of rigs with several sensors in a folder's model; none if the files are missing or unreadable: nothing
+/// depends on it.
 pub fn num_of_several(folder: &Path) -> usize {
     if folder.join("cameras.bin").exists() {
         several_in_binary(&folder.join("rigs.bin")).unwrap_or(0)

@@ -23,7 +23,7 @@ fn sample() -> Reconstruction {
     ];
     let mut camera_forms: BTreeMap<_, _> =
         cameras.iter().map(|(id, camera)| (*id, CameraForm::Covered(Model::of(camera)))).collect();
-    // A model larger than its values need.
+    // A model with more parameters than its values need.
     camera_forms.insert(CameraId(10), CameraForm::Covered(Model::FullOpenCv));
     let camera_ids: Vec<_> = cameras.iter().map(|(id, _)| *id).collect();
     let mut images = BTreeMap::new();
@@ -65,7 +65,7 @@ fn written(model: &Reconstruction, binary: bool) -> tempfile::TempDir {
 }
 
 #[test]
-fn both_forms_give_back_exactly_what_was_written() {
+fn both_forms_round_trip_exactly() {
     for model in [sample(), Reconstruction::default()] {
         for binary in [false, true] {
             assert_eq!(read(written(&model, binary).path()).unwrap(), model, "binary: {binary}");
@@ -74,7 +74,7 @@ fn both_forms_give_back_exactly_what_was_written() {
 }
 
 #[test]
-fn every_camera_model_is_read_or_refused_with_a_cure() {
+fn every_camera_model_is_read_or_refused_with_a_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("cameras.txt");
     let read_line = |line: &str| {
@@ -111,7 +111,7 @@ fn every_camera_model_is_read_or_refused_with_a_cure() {
     }
 }
 
-/// COLMAP's reader of text takes a name up to its first blank.
+/// COLMAP's reader of text truncates a name at its first blank.
 #[test]
 fn names_with_blanks_go_to_binary_files() {
     let mut model = sample();
@@ -127,7 +127,7 @@ fn names_with_blanks_go_to_binary_files() {
     assert!(plain.path().join("images.txt").is_file());
 }
 
-/// Names with blanks in text that this program wrote before are read whole.
+/// Names with blanks in text files of earlier versions of this program are read completely.
 #[test]
 fn names_with_blanks_are_read_from_text() {
     let folder = written(&sample(), false);
@@ -137,9 +137,9 @@ fn names_with_blanks_are_read_from_text() {
     assert_eq!(read(folder.path()).unwrap().images[&ImageId(2)].name, "with a blank.jpg");
 }
 
-/// Foreign lenses and models with zeros stay what they are; only geometry refuses the first.
+/// Unsupported camera models and models with zeros are preserved; only geometry refuses the first.
 #[test]
-fn every_camera_model_goes_through_text_and_binary() {
+fn every_camera_model_round_trips_through_text_and_binary() {
     let mut model = Reconstruction::default();
     for (k, form) in (1..).zip(Model::ALL) {
         let params: Vec<f64> = (0..form.num_params()).map(|i| 2.0 + 0.125 * i as f64).collect();
@@ -177,7 +177,7 @@ fn a_binary_camera_of_an_unknown_model_is_refused_by_number() {
 }
 
 #[test]
-fn a_binary_model_cut_anywhere_is_an_error() {
+fn a_truncated_binary_model_is_an_error() {
     let folder = written(&sample(), true);
     for name in ["cameras.bin", "images.bin", "points3D.bin"] {
         let path = folder.path().join(name);
@@ -260,7 +260,7 @@ fn broken_text_names_file_line_and_field() {
 }
 
 #[test]
-fn what_a_file_cannot_hold_is_not_written() {
+fn models_that_a_file_cannot_represent_are_not_written() {
     let folder = tempfile::tempdir().unwrap();
     let mut model = sample();
     model.images.get_mut(&ImageId(1)).unwrap().name = "two\nlines".into();
@@ -273,8 +273,8 @@ fn what_a_file_cannot_hold_is_not_written() {
     assert!(write_text(folder.path(), &sample()).unwrap_err().to_string().contains("binary model"));
 }
 
-/// The stored errors come back from poses, intrinsics and points: the conventions agree.
-fn assert_errors_come_back(model: &Reconstruction, tolerance_px: f64) {
+/// Recomputes the stored errors from poses, intrinsics and points: the conventions agree.
+fn assert_errors_match(model: &Reconstruction, tolerance_px: f64) {
     for (id, point) in &model.points {
         let errors = point.track.iter().map(|e| {
             let image = &model.images[&e.image];
@@ -299,9 +299,9 @@ fn a_model_in_colmaps_own_formats_is_read() {
     assert!((image.cam_from_world.center() - Point3::new(0.7, 0.02, -3.9)).norm() < 1e-12);
     let unmatched = image.observations.last().unwrap();
     assert_eq!((unmatched.pixel, unmatched.point), (Point2::new(12.5, 20.25), None));
-    // Every observation lies a quarter of a pixel next to its projection.
+    // Every observation is a quarter of a pixel off its projection.
     assert!(text.points.values().all(|point| (point.error_px - 0.25).abs() < 1e-12));
-    assert_errors_come_back(&text, 1e-9);
+    assert_errors_match(&text, 1e-9);
 }
 
 #[test]
@@ -317,10 +317,10 @@ fn models_that_colmap_wrote_are_read() {
     assert_eq!((fountain.images.len(), fountain.points.len()), (11, 14002));
     let camera = &fountain.cameras[&CameraId(1)];
     assert!((camera.radial[0] + 0.00249982825).abs() < 1e-10 && camera.radial[1] == 0.0);
-    assert_errors_come_back(&fountain, 1e-6);
+    assert_errors_match(&fountain, 1e-6);
 }
 
-/// Every camera is a rig and every image a frame, byte for byte what COLMAP 4.2.1 writes of such a model.
+/// Every camera is a rig and every image a frame, byte for byte as COLMAP 4.2.1 writes such a model.
 #[test]
 fn rigs_and_frames_are_written() {
     let model = sample();

@@ -1,5 +1,5 @@
-//! The text files: fields separated by blanks, `#` before comments, two lines per image. Of a file one line is in
-//! memory at a time: text takes more room than what it says.
+//! The text files: fields separated by blanks, `#` before comments, two lines per image. One line of a file is in
+//! memory at a time: text takes more memory than its values.
 
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -19,7 +19,7 @@ use crate::scene::{CameraId, Image, ImageId, Observation, Point3d, Point3dId, Re
 pub fn read_cameras(path: &Path) -> Result<Cameras, IoError> {
     let mut lines = Lines::open(path)?;
     let (mut cameras, mut forms) = Cameras::default();
-    while lines.go_to_record()? {
+    while lines.advance_to_record()? {
         let mut line = lines.line();
         let id = CameraId(line.number("camera id")?);
         let name = line.word("camera model")?;
@@ -43,7 +43,7 @@ pub fn read_images(path: &Path) -> Result<BTreeMap<ImageId, Image>, IoError> {
     let mut lines = Lines::open(path)?;
     let mut images = BTreeMap::new();
     // The second line of an image may be empty, so only the first is searched for.
-    while lines.go_to_record()? {
+    while lines.advance_to_record()? {
         let mut line = lines.line();
         let id = ImageId(line.number("image id")?);
         if images.contains_key(&id) {
@@ -54,7 +54,7 @@ pub fn read_images(path: &Path) -> Result<BTreeMap<ImageId, Image>, IoError> {
         let translation = Vector3::new(line.finite("tx")?, line.finite("ty")?, line.finite("tz")?);
         let camera = CameraId(line.number("camera id")?);
         let name = line.rest("name")?;
-        let observations = if lines.go_on()? { observations(lines.line())? } else { Vec::new() };
+        let observations = if lines.advance()? { observations(lines.line())? } else { Vec::new() };
         let cam_from_world = Rigid3::new(rotation, translation);
         images.insert(id, Image { name, camera, cam_from_world, observations });
     }
@@ -79,7 +79,7 @@ fn observations(mut line: Line<'_>) -> Result<Vec<Observation>, IoError> {
 pub fn read_points(path: &Path) -> Result<BTreeMap<Point3dId, Point3d>, IoError> {
     let mut lines = Lines::open(path)?;
     let mut points = BTreeMap::new();
-    while lines.go_to_record()? {
+    while lines.advance_to_record()? {
         let mut line = lines.line();
         let id = Point3dId(line.number("point id")?);
         let position = Point3::new(line.finite("x")?, line.finite("y")?, line.finite("z")?);
@@ -143,17 +143,17 @@ pub fn write_points(out: &mut dyn Write, model: &Reconstruction) -> std::io::Res
     Ok(())
 }
 
-/// A file that is read line by line.
+/// File that is read line by line.
 struct Lines<'a> {
     path: &'a Path,
     reader: BufReader<File>,
-    /// The line read last.
+    /// Line read last.
     text: String,
     /// Its number, from 1; 0 before the first.
     number: usize,
 }
 
-/// A line of a file and how far it is read.
+/// Line of a file and the reading position in it.
 struct Line<'a> {
     path: &'a Path,
     /// From 1.
@@ -167,8 +167,8 @@ impl<'a> Lines<'a> {
         Ok(Self { path, reader: BufReader::new(file), text: String::new(), number: 0 })
     }
 
-    /// Reads the next line; `false` behind the last.
-    fn go_on(&mut self) -> Result<bool, IoError> {
+    /// Reads the next line; `false` at the end of the file.
+    fn advance(&mut self) -> Result<bool, IoError> {
         self.text.clear();
         let length = self.reader.read_line(&mut self.text).map_err(|error| match error.kind() {
             ErrorKind::InvalidData => IoError::content(self.path, "not a text file (UTF-8)"),
@@ -181,9 +181,9 @@ impl<'a> Lines<'a> {
         Ok(length > 0)
     }
 
-    /// Reads on to the next line that is neither empty nor a comment.
-    fn go_to_record(&mut self) -> Result<bool, IoError> {
-        while self.go_on()? {
+    /// Advances to the next line that is neither empty nor a comment.
+    fn advance_to_record(&mut self) -> Result<bool, IoError> {
+        while self.advance()? {
             if self.line().is_record() {
                 return Ok(true);
             }
@@ -191,7 +191,7 @@ impl<'a> Lines<'a> {
         Ok(false)
     }
 
-    /// The line read last.
+    /// Returns the line read last.
     fn line(&self) -> Line<'_> {
         Line { path: self.path, number: self.number, rest: self.text.trim() }
     }
@@ -229,7 +229,7 @@ impl<'a> Line<'a> {
         if value.is_finite() { Ok(value) } else { Err(self.error(field, format!("{value} is not a finite number"))) }
     }
 
-    /// All that is left, which must not be nothing.
+    /// Reads the rest of the line, which must not be empty.
     fn rest(&mut self, field: &str) -> Result<String, IoError> {
         let rest = std::mem::take(&mut self.rest);
         if rest.is_empty() { Err(self.error(field, "the line ends here")) } else { Ok(rest.into()) }

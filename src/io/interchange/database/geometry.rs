@@ -2,9 +2,9 @@
 //!
 //! Where both poses are known the essential matrix is `E = [t]ₓ R` of `cam2_from_cam1` with a unit translation, the
 //! fundamental matrix `F = K₂⁻ᵀ E K₁⁻¹` (of pixels without distortion), and inliers are the matches within four pixels
-//! of it by the Sampson distance. Elsewhere `F` comes from the matches, which were verified when tracks were made of
-//! them: all are inliers. `H` is fitted to the inliers; where it explains eight in ten of them within four pixels the
-//! pair is planar or panoramic. Both limits are COLMAP's (`src/colmap/estimators/two_view_geometry.h`).
+//! of it by the Sampson distance. Otherwise `F` is estimated from the matches, which were verified when the tracks were
+//! built: all are inliers. `H` is fitted to the inliers; if eight in ten of them are its inliers within four pixels,
+//! the pair is planar or panoramic. Both limits are COLMAP's (`src/colmap/estimators/two_view_geometry.h`).
 
 use std::collections::BTreeMap;
 
@@ -17,7 +17,7 @@ use crate::scene::{ImageId, Reconstruction};
 
 /// Maximum error of an inlier, pixels: COLMAP's default (`TwoViewGeometryOptions`).
 const MAX_ERROR_PX: f64 = 4.0;
-/// Share of the inliers explained by a homography above which a pair is planar or panoramic: COLMAP's default.
+/// Minimum inlier ratio of a homography for a planar or panoramic pair: COLMAP's default.
 const PLANAR_SHARE: f64 = 0.8;
 
 /// COLMAP's configuration of a pair, with its number.
@@ -43,7 +43,7 @@ pub struct TwoViewGeometry {
     pub cam2_from_cam1: Option<Rigid3>,
 }
 
-/// The geometry of a pair; `None` where neither poses nor matches tell it.
+/// Geometry of a pair; `None` if neither poses nor matches determine it.
 pub fn of_pair(
     model: &Reconstruction,
     views: &BTreeMap<ImageId, &View>,
@@ -88,7 +88,7 @@ impl<'a> Side<'a> {
         Self { view, camera: model.cameras.get(&view.camera).filter(|_| model.can_project(view.camera)) }
     }
 
-    /// On the plane z = 1, without distortion; as stored where the lens is not known.
+    /// Point on the plane z = 1, without distortion; as stored if the intrinsics are unknown.
     fn normalized(&self, feature: u32) -> Vector2<f64> {
         let pixel = self.view.pixels[feature as usize];
         self.camera.map_or(pixel.coords, |camera| camera.normalized_from_pixel(pixel))
@@ -104,7 +104,7 @@ impl<'a> Side<'a> {
     }
 }
 
-/// The second camera from the first, translation of unit length; `None` where a pose is not known.
+/// Pose of the second camera relative to the first, translation of unit length; `None` if a pose is unknown.
 fn relative(model: &Reconstruction, pair: [ImageId; 2]) -> Option<Rigid3> {
     let [first, second] = pair.map(|id| model.images.get(&id).map(|image| image.cam_from_world));
     let motion = second? * first?.inverse();
@@ -121,13 +121,13 @@ fn agreeing(sides: &[Side<'_>; 2], essential: &Matrix3<f64>, matches: &[[u32; 2]
         let [a, b] = [0, 1].map(|k| sides[k].normalized(m[k]).push(1.0));
         let (line_b, line_a) = (essential * a, essential.transpose() * b);
         let slope = line_a.xy().norm_squared() + line_b.xy().norm_squared();
-        // A camera that only turns has no lines to lie on.
+        // A pure rotation has no epipolar lines.
         slope == 0.0 || b.dot(&line_b).powi(2) <= limit_sq * slope
     };
     matches.iter().filter(agrees).copied().collect()
 }
 
-/// The share of pairs that a homography explains within [`MAX_ERROR_PX`].
+/// Inlier ratio of a homography within [`MAX_ERROR_PX`].
 fn explained(homography: &Matrix3<f64>, first: &[Vector2<f64>], second: &[Vector2<f64>]) -> f64 {
     let agrees = |(a, b): &(&Vector2<f64>, &Vector2<f64>)| {
         let moved = homography * a.push(1.0);

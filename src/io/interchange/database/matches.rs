@@ -1,4 +1,4 @@
-//! Which features of two images show the same point.
+//! Matched features of two images.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -8,8 +8,8 @@ use crate::scene::{ImageId, TrackElement};
 /// Feature indices of either image, by the images' ids in ascending order.
 pub type Matches = BTreeMap<[ImageId; 2], Vec<[u32; 2]>>;
 
-/// All pairs of features within tracks, ascending. Where a feature would have two matches in one image the track that
-/// comes first counts.
+/// All pairs of features within tracks, ascending. If a feature would have two matches in one image, the first track is
+/// used.
 pub fn of_tracks(views: &BTreeMap<ImageId, &View>, tracks: &[Vec<TrackElement>]) -> Matches {
     let mut found: BTreeMap<[ImageId; 2], OneToOne> = BTreeMap::new();
     for track in tracks {

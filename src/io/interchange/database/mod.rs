@@ -1,10 +1,10 @@
-//! COLMAP's database: the features of images and what was matched between them, as SQLite tables.
+//! COLMAP's database: image features and their matches, as SQLite tables.
 //!
-//! The tables are those of COLMAP 3.8 (`src/base/database.cc`), which later versions take over when they open one:
-//! `cameras`, `images`, `keypoints`, `matches` and `two_view_geometries`; `descriptors` is there and empty. COLMAP's
-//! mapper, `image_registrator` and `point_triangulator` start from what is written here.
+//! The tables are those of COLMAP 3.8 (`src/base/database.cc`), which later versions upgrade when they open one:
+//! `cameras`, `images`, `keypoints`, `matches` and `two_view_geometries`; `descriptors` exists and is empty. COLMAP's
+//! mapper, `image_registrator` and `point_triangulator` can start from this database.
 //!
-//! * Keypoints are the features of the images, first pixel centre at (0.5, 0.5) as everywhere, in single precision.
+//! * Keypoints are the features of the images, first pixel center at (0.5, 0.5) as everywhere, in single precision.
 //! * Matches are those that tracks imply: any two features of one point. No feature has two matches in one image.
 //! * Two-view geometries follow from the poses where both are known, else from the matches (see `geometry`).
 //! * `prior_focal_length` is set: the focal lengths of a reconstruction are known.
@@ -23,10 +23,10 @@ use super::assembly::check_finite;
 use crate::io::{IoError, Losses, atomic};
 use crate::scene::{CameraForm, CameraId, ImageId, Reconstruction, TrackElement};
 
-/// The largest id of an image in a database, and what pairs of images are numbered with.
+/// Maximum image id of a database, and base of the numbers of image pairs.
 const MAX_IMAGES: u64 = 2_147_483_647;
 
-/// An image's features, whether its pose is known or not.
+/// Features of an image with or without a pose.
 #[derive(Clone, Debug, PartialEq)]
 pub struct View {
     /// File name.
@@ -37,17 +37,17 @@ pub struct View {
     pub pixels: Vec<Point2<f64>>,
 }
 
-/// The features of images and which of them show the same point.
+/// Features of images and their tracks.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Features {
     /// By image.
     pub views: BTreeMap<ImageId, View>,
-    /// Features of one point each, at most one per image.
+    /// Tracks: features of one point each, at most one per image.
     pub tracks: Vec<Vec<TrackElement>>,
 }
 
 impl Features {
-    /// Those of a reconstruction: the observations of its images and the tracks of its points.
+    /// Features of a reconstruction: the observations of its images and the tracks of its points.
     pub fn of(model: &Reconstruction) -> Self {
         let view = |image: &crate::scene::Image| View {
             name: image.name.clone(),
@@ -60,8 +60,8 @@ impl Features {
         }
     }
 
-    /// These with what a run found next to its model: images without a pose and tracks without a point. `None` if they
-    /// do not belong together: an image of the model is another one there, or has other features.
+    /// Adds the other features of a run: images without a pose and tracks without a point. `None` if they are
+    /// inconsistent: an image of the model is another image there, or has other features.
     pub fn joined(mut self, others: Self) -> Option<Self> {
         let fits = |(id, own): (&ImageId, &View)| {
             others.views.get(id).is_some_and(|other| own.name == other.name && own.pixels.len() == other.pixels.len())
@@ -80,11 +80,11 @@ impl Features {
 /// Writes a database, whole.
 ///
 /// * `model` – cameras and poses.
-/// * `features` – of the model's images and of others; those whose camera the model lacks are left out.
+/// * `features` – of the model's images and of others; features whose camera is not in the model are skipped.
 ///
 /// # Errors
-/// A system error; no features at all; a number that is not finite; a camera of which nothing is known; an image whose
-/// id is too large for COLMAP, or two of one name.
+/// A system error; no features at all; a number that is not finite; a camera without any intrinsics; an image whose id
+/// is too large for COLMAP, or two of one name.
 pub fn write(path: &Path, model: &Reconstruction, features: &Features) -> Result<Losses, IoError> {
     check(path, model, features)?;
     let views: BTreeMap<ImageId, &View> = features

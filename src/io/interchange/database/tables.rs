@@ -1,4 +1,4 @@
-//! The tables and their rows.
+//! Database tables and their rows.
 
 use nalgebra::Matrix3;
 use rusqlite::{Connection, Transaction, params};
@@ -10,7 +10,7 @@ use crate::io::interchange::colmap::written_camera;
 use crate::math::Rigid3;
 use crate::scene::{CameraId, ImageId, Reconstruction};
 
-/// As COLMAP 3.8 makes them; 3.8 asks for the columns of a prior pose, and later versions pass over them.
+/// Schema of COLMAP 3.8; 3.8 requires the columns of a prior pose, and later versions ignore them.
 const SCHEMA: &str = "
     PRAGMA journal_mode = OFF;
     PRAGMA synchronous = OFF;
@@ -86,7 +86,7 @@ pub fn insert_geometry(
     tables.prepare_cached(sql)?.execute(row).map(drop)
 }
 
-/// COLMAP's number of a pair, whose ids ascend.
+/// COLMAP's number of an image pair with ascending ids.
 fn pair_id([first, second]: [ImageId; 2]) -> u64 {
     u64::from(first.0) * MAX_IMAGES + u64::from(second.0)
 }

@@ -76,7 +76,7 @@ fn matches_are_the_pairs_within_tracks_and_lie_on_their_epipolar_lines() {
         let fundamental = Matrix3::from_row_slice(&doubles(&fundamental));
         let [a, b] = ids(pair).map(|id| &model.images[&id]);
         for world in model.points.values().map(|point| point.position) {
-            // The pixel that a lens without distortion would see.
+            // The pixel of a camera without distortion.
             let flat = |image: &crate::scene::Image| {
                 let p = image.cam_from_world * world;
                 model.camera_of(image).matrix() * Vector3::new(p.x / p.z, p.y / p.z, 1.0)
@@ -104,7 +104,7 @@ fn a_pose_is_stored_as_colmap_stores_it() {
     }
 }
 
-/// A run's own features go next to those of its model: an image without a pose has matches, and a fundamental matrix.
+/// Features of a run complement those of its model: an image without a pose has matches, and a fundamental matrix.
 #[test]
 fn images_without_a_pose_take_part() {
     let whole = model_with(&[Camera::with_focal(960, 540, 700.0)]);
@@ -120,7 +120,7 @@ fn images_without_a_pose_take_part() {
         .into_iter()
         .filter(|(pair, ..)| ids(*pair)[1] == lost)
         .collect();
-    // Six points are common with the first image, and a fundamental matrix needs eight.
+    // Six points are shared with the first image, and a fundamental matrix needs eight.
     assert!(with_lost.iter().all(|(_, configuration, _)| [3, 6].contains(configuration)));
     let stored: i64 = connection.query_row("SELECT count(*) FROM images", [], |row| row.get(0)).unwrap();
     assert_eq!(stored as usize, whole.images.len());
@@ -149,7 +149,7 @@ fn a_feature_has_one_match_in_an_image() {
     assert_eq!(matches::of_tracks(&views, &tracks), [([ImageId(1), ImageId(2)], vec![[1, 0]])].into());
 }
 
-/// A plane is seen: the homography explains it, and says so.
+/// A planar scene is explained by a homography and labeled as planar.
 #[test]
 fn a_planar_scene_is_called_planar() {
     let mut model = model_with(&[Camera::with_focal(960, 540, 700.0)]);
@@ -186,7 +186,7 @@ fn the_same_model_gives_the_same_bytes() {
 }
 
 #[test]
-fn what_a_database_cannot_hold_is_refused() {
+fn models_that_a_database_cannot_represent_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("database.db");
     let said = |model: &Reconstruction| write(&path, model, &Features::of(model)).unwrap_err().to_string();

@@ -1,4 +1,4 @@
-//! Which format lies at a path: by content, not by name, with a way out for what is known and not read.
+//! Detection of a model's format by content, with a remedy for known but unsupported formats.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
@@ -11,19 +11,18 @@ use crate::files;
 use crate::io::interchange::colmap;
 use crate::io::{IoError, RunFolder, json};
 
-/// Formats that can be read, in words.
+/// Readable formats, for messages.
 const READABLE: &str = "a COLMAP folder, an output folder, OpenMVG's sfm_data.json, OpenSfM's reconstruction.json, \
                         nerfstudio's transforms.json, an .nvm, a Bundler file, or a camera path of TUM, EuRoC or KITTI";
 
-/// Models inside a folder, in the order in which they are looked for.
+/// Models inside a folder, in the order of the search.
 const INSIDE: [&str; 4] = ["sfm_data.json", "reconstruction.json", "transforms.json", "bundle.out"];
 
-/// The place of a model and its format. For a folder this is COLMAP's model in it, that of an output folder's
-/// background, that of the only folder with a number in `sparse`, or a file that has the usual name of another
-/// program's.
+/// Returns the path of a model and its format. For a folder this is a COLMAP model in it, the background of an output
+/// folder, the only numbered folder in `sparse`, or a file with the usual name of another program.
 ///
 /// # Errors
-/// Nothing there; or what it is instead, and what to do about it.
+/// A missing file; or another kind of file, with the remedy.
 pub fn detect(path: &Path) -> Result<(PathBuf, Format), IoError> {
     let found = std::fs::metadata(path).map_err(IoError::system("read", path))?;
     if found.is_dir() { of_folder(path) } else { of_file(path) }
@@ -61,7 +60,7 @@ fn colmap_in(folder: &Path) -> Option<Format> {
     }
 }
 
-/// COLMAP numbers the models that it makes of one set of pictures; in the order of their numbers.
+/// COLMAP numbers its models of one set of images; returned in the order of their numbers.
 fn numbered_models(folder: &Path) -> Vec<PathBuf> {
     let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
     let number = |path: &Path| path.file_name()?.to_str()?.parse::<u32>().ok();
@@ -151,7 +150,7 @@ fn of_text(path: &Path, start: &str) -> Result<Format, IoError> {
     Err(IoError::unsupported(path, what, cure))
 }
 
-/// The text formats, by their first line.
+/// Text formats, by their first line.
 fn plain_text(start: &str) -> Option<Format> {
     if start.starts_with("NVM_V3") {
         return Some(Format::Nvm);
@@ -159,7 +158,7 @@ fn plain_text(start: &str) -> Option<Format> {
         return Some(Format::Bundler);
     }
     let first = start.lines().map(str::trim).find(|line| !line.is_empty() && !line.starts_with('#'))?;
-    // A header without its mark is refused with its line.
+    // A header without its magic word is refused with its line.
     if first.starts_with("timestamp ") {
         return Some(Format::Tum);
     }
@@ -173,7 +172,7 @@ fn plain_text(start: &str) -> Option<Format> {
     }
 }
 
-/// The error about a point cloud.
+/// Error for a point cloud.
 pub(super) fn points_alone(path: &Path) -> IoError {
     IoError::unsupported(path, "a point cloud without cameras", format!("give {READABLE}"))
 }
@@ -192,7 +191,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_known_and_not_read_has_its_cure() {
+    fn known_unsupported_formats_have_a_remedy() {
         let cases: [(&str, &[u8], &str); 10] = [
             ("sfm_data.bin", b"\x01\x03\0\0\0\0\0\0\x000.3", "openMVG_main_ConvertSfM_DataFormat"),
             ("theia.rec", b"\x16\0\0\0", "pytheia.io.WriteColmapFiles"),
@@ -216,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn every_format_is_recognised_by_its_content() {
+    fn every_format_is_recognized_by_its_content() {
         let folder = tempfile::tempdir().unwrap();
         let lens = crate::camera::Camera::with_focal(960, 540, 700.0);
         let formats =
@@ -245,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn geometry_refuses_by_name_what_is_carried_otherwise() {
+    fn geometry_refuses_unsupported_cameras_by_name() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["cameras", "images", "points3D"] {
             let file = format!("tests/golden/models/colmap_text/{name}.txt");

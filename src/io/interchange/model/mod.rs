@@ -1,4 +1,4 @@
-//! Reconstructions in whatever supported format they come.
+//! Reconstructions in any supported format.
 
 mod detect;
 #[cfg(test)]
@@ -14,7 +14,7 @@ use crate::scene::Reconstruction;
 
 pub use detect::detect;
 
-/// A format of reconstructions.
+/// Format of a reconstruction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Format {
     /// COLMAP's text files, a folder.
@@ -31,11 +31,11 @@ pub enum Format {
     Nvm,
     /// Bundler's `bundle.out`.
     Bundler,
-    /// A camera path in TUM's or EuRoC's form; read only.
+    /// A camera trajectory in TUM's or EuRoC's format; read only.
     Tum,
-    /// A camera path in KITTI's form; read only.
+    /// A camera trajectory in KITTI's format; read only.
     Kitti,
-    /// Coloured points, `.ply`; written only.
+    /// Colored points, `.ply`; written only.
     Ply,
 }
 
@@ -58,24 +58,24 @@ impl fmt::Display for Format {
     }
 }
 
-/// Reads a reconstruction for comparing or converting, whatever its lenses are, and says in which format it came.
+/// Reads a reconstruction for comparing or converting, with any intrinsics, and returns its format.
 ///
 /// # Errors
-/// Nothing there, no format that is read (with what to do about it), what the format's reader says, or numbers so large
-/// that what follows from them is none.
+/// A missing file, no readable format (with the remedy), an error of the format's reader, or numbers so large that
+/// values computed from them are not finite.
 pub fn read(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     read_with(path, Intrinsics::Required)
 }
 
-/// As [`read`], also where intrinsics are missing: their cameras project nothing.
+/// As [`read`], also without intrinsics: such cameras cannot project.
 ///
 /// # Errors
-/// As [`read`], but for missing intrinsics.
+/// As [`read`], except for missing intrinsics.
 pub fn read_poses(path: &Path) -> Result<(Reconstruction, Format), IoError> {
     read_with(path, Intrinsics::Optional)
 }
 
-/// Need of intrinsics: a model without them can be compared, not converted.
+/// Requirement of intrinsics: a model without them can be compared, not converted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intrinsics {
     Required,
@@ -99,7 +99,7 @@ fn read_with(path: &Path, intrinsics: Intrinsics) -> Result<(Reconstruction, For
     Ok((model, format))
 }
 
-/// Sentences about parts of a file that [`read`] skips.
+/// Describes the parts of a file that [`read`] skips.
 pub fn lost_on_reading(path: &Path, format: Format) -> Vec<String> {
     let Ok((place, _)) = detect(path) else { return Vec::new() };
     let losses = match format {
@@ -121,7 +121,7 @@ pub fn lost_on_reading(path: &Path, format: Format) -> Vec<String> {
     losses.sentences().to_vec()
 }
 
-/// Reads a reconstruction whose points are to be projected.
+/// Reads a reconstruction for projecting its points.
 ///
 /// # Errors
 /// As [`read`]; a camera that this program cannot project with.
@@ -131,10 +131,10 @@ pub fn read_for_geometry(path: &Path) -> Result<(Reconstruction, Format), IoErro
     Ok((model, format))
 }
 
-/// Writes a reconstruction and says what the format had no place for. To PLY go its points alone.
+/// Writes a reconstruction and returns the losses of the format. PLY gets its points only.
 ///
 /// # Errors
-/// A format that is only read, or what the format's writer says.
+/// A format that is read only, or an error of the format's writer.
 pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Losses, IoError> {
     match format {
         Format::ColmapText => colmap::write_text(path, model).map(|()| Losses::default()),
@@ -160,11 +160,11 @@ pub fn write(path: &Path, model: &Reconstruction, format: Format) -> Result<Loss
     }
 }
 
-/// Looks whether `files` may be written, at or in `output`: none is written through a link or over the one that is
-/// read, and over others only if `overwrite` is set.
+/// Checks that `files` may be written, at or in `output`: never through a link or over the input, and over other files
+/// only if `overwrite` is set.
 ///
 /// # Errors
-/// [`FolderError`] says what is in the way.
+/// [`FolderError`] with the obstacle.
 pub fn check_target(input: &Path, output: &Path, files: &[PathBuf], overwrite: bool) -> Result<(), FolderError> {
     let is_same =
         |a: &Path, b: &Path| std::fs::canonicalize(a).is_ok_and(|a| std::fs::canonicalize(b).is_ok_and(|b| a == b));
@@ -185,7 +185,7 @@ pub fn check_target(input: &Path, output: &Path, files: &[PathBuf], overwrite: b
     Ok(())
 }
 
-/// The files that a reconstruction is written to.
+/// Files to which a reconstruction is written.
 pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
     match format {
         Format::ColmapText => colmap::TEXT_FILES.iter().map(|name| output.join(name)).collect(),
@@ -197,7 +197,7 @@ pub fn files_of(output: &Path, format: Format) -> Vec<PathBuf> {
     }
 }
 
-/// Files that are read of a model at a path that [`detect`] gave: the whole COLMAP folder, or the files that exist.
+/// Files read for a model at a path from [`detect`]: the whole COLMAP folder, or the files that exist.
 pub fn files_read(place: &Path, format: Format) -> Vec<PathBuf> {
     let beside = match format {
         Format::OpenSfm => opensfm::files(place)[1..].to_vec(),
@@ -208,11 +208,11 @@ pub fn files_read(place: &Path, format: Format) -> Vec<PathBuf> {
     std::iter::once(place.to_owned()).chain(beside).collect()
 }
 
-/// The format in which a conversion of a model that came as `from` writes to `to`, if none is asked for: what the name
-/// says, else the other COLMAP form than the one read. Text comes first where it can hold the names of the images.
+/// Default output format of a conversion of a model in the format `from` to `to`: the one implied by the name,
+/// otherwise the other COLMAP form than the input's. Text is preferred if it can represent the names of the images.
 ///
 /// # Errors
-/// A file whose name says nothing: an unknown ending, or JSON, as which three formats are written.
+/// A file whose name implies no format: an unknown ending, or JSON, which three formats use.
 pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<Format, IoError> {
     let named = |name: &str| to.file_name().is_some_and(|n| n.eq_ignore_ascii_case(name));
     let ends = |extension: &str| to.extension().is_some_and(|e| e.eq_ignore_ascii_case(extension));
@@ -247,7 +247,8 @@ pub fn format_for(from: Format, to: &Path, model: &Reconstruction) -> Result<For
     })
 }
 
-/// Returns true if the end of a name is that of a file (`obj`, `e57`) and not part of a folder's name (`2026`, `v2.1`).
+/// Returns true if the end of a name is a file extension (`obj`, `e57`) and not part of a folder's name (`2026`,
+/// `v2.1`).
 fn is_ending(extension: &std::ffi::OsStr) -> bool {
     let text = extension.to_string_lossy();
     text.starts_with(|c: char| c.is_ascii_alphabetic()) && text.chars().all(char::is_alphanumeric)

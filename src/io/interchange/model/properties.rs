@@ -9,20 +9,19 @@ use crate::io::testing::{model_with, near, near_but_for_sizes};
 use crate::math::Sim3;
 use crate::scene::Reconstruction;
 
-/// Few cases: each writes and reads files.
+/// Few cases, since each writes and reads files.
 fn few(cases: u32) -> ProptestConfig {
     ProptestConfig { cases, failure_persistence: None, ..ProptestConfig::default() }
 }
 
-/// Focal length, principal point next to the middle, k₁, k₂, p₁, p₂, k₃: what no lens goes astray with within the
-/// picture.
+/// Focal length, principal point near the center, k₁, k₂, p₁, p₂, k₃, in ranges valid for any camera within the image.
 fn lens() -> impl Strategy<Value = [f64; 8]> {
     let small = -2e-3..2e-3;
     (400.0..2000.0, -9.0..9.0, -9.0..9.0, -0.1..0.1, -0.02..0.02, small.clone(), small, -5e-3..5e-3)
         .prop_map(|(f, x, y, k1, k2, p1, p2, k3)| [f, x, y, k1, k2, p1, p2, k3])
 }
 
-/// Of the lens as many terms as a format has, zeros for the rest.
+/// The camera with as many distortion terms as a format has, zeros for the rest.
 fn camera([f, x, y, k1, k2, p1, p2, k3]: [f64; 8], terms: usize, middle: bool) -> Camera {
     let [x, y] = if middle { [0.0; 2] } else { [x, y] };
     let mut all = [f, f, 480.0 + x, 270.0 + y, k1, k2, p1, p2, k3];
@@ -30,7 +29,7 @@ fn camera([f, x, y, k1, k2, p1, p2, k3]: [f64; 8], terms: usize, middle: bool) -
     Camera::prior(960, 540).with_parameters(&all).unwrap()
 }
 
-/// The small model of the tests through such a lens, somewhere in space.
+/// The small test model with this camera, somewhere in space.
 fn model(camera: Camera, place: [f64; 6], scale: f64) -> Reconstruction {
     let [rx, ry, rz, x, y, z] = place;
     let turn = nalgebra::UnitQuaternion::from_euler_angles(rx, ry, rz);
@@ -48,7 +47,7 @@ fn back(model: &Reconstruction, format: Format, name: &str) -> Reconstruction {
     found
 }
 
-/// Text that is a number now and then.
+/// Text that is sometimes a number.
 fn noise() -> impl Strategy<Value = Vec<u8>> {
     prop_oneof![
         proptest::collection::vec(any::<u8>(), 0..9),
@@ -76,10 +75,10 @@ proptest! {
     #![proptest_config(few(24))]
 
     #[test]
-    fn any_model_comes_back(lens in lens(), place in prop::array::uniform6(-3.0..3.0), scale in 0.1..10.0) {
+    fn any_model_round_trips(lens in lens(), place in prop::array::uniform6(-3.0..3.0), scale in 0.1..10.0) {
         let whole = model(camera(lens, 5, false), place, scale);
         near(&back(&whole, Format::OpenMvg, "sfm_data.json"), &whole, 1e-8);
-        // Ids are places in the order of names there.
+        // There, ids are indices in the order of names.
         let mut ordered = whole.clone();
         ordered.images.iter_mut().for_each(|(id, image)| image.name = format!("{}/{}", id.0, image.name));
         near_but_for_sizes(&back(&ordered, Format::OpenSfm, "reconstruction.json"), &ordered, 1e-8);
@@ -114,7 +113,7 @@ fn numbers_too_large_to_compute_with_are_refused() {
 proptest! {
     #![proptest_config(few(256))]
 
-    /// Nothing panics, and what is read can be written and read again.
+    /// Nothing panics, and a model that was read can be written and read again.
     #[test]
     fn damage_is_refused_or_read(
         (format, file) in written_files(),

@@ -1,4 +1,4 @@
-//! The shape of the file.
+//! Structure of the file.
 
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +25,7 @@ pub struct Entry<T> {
 #[derive(Deserialize, Serialize)]
 pub struct Polymorphic<T> {
     pub polymorphic_id: u32,
-    /// Given only where a type occurs first.
+    /// Present only at the first occurrence of a type.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub polymorphic_name: Option<String>,
     pub ptr_wrapper: Pointer<T>,
@@ -55,7 +55,7 @@ pub struct View {
 
 #[derive(Default, Deserialize, Serialize)]
 pub struct Intrinsic {
-    /// Where `spherical` has its size.
+    /// Size of `spherical`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub value0: Option<Size>,
     #[serde(default, skip_serializing_if = "Option::is_none")]

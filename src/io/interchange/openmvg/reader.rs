@@ -1,4 +1,4 @@
-//! From the file to a reconstruction.
+//! Conversion of the file to a reconstruction.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -14,11 +14,11 @@ use crate::io::{IoError, json};
 use crate::math::Rigid3;
 use crate::scene::{CameraForm, CameraId, Image, ImageId, Point3dId, Reconstruction};
 
-/// Reads a reconstruction. Points have no colour there and are white; their errors are computed.
+/// Reads a reconstruction. Points have no color there and are white; their errors are computed.
 ///
 /// # Errors
-/// A missing file, JSON of another shape, a camera of an unknown kind, no view with a pose, a pose that is not rigid,
-/// or parts that refer to what is not there.
+/// A missing file, JSON of another structure, a camera of an unknown kind, no view with a pose, a pose that is not
+/// rigid, or dangling references.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     read_with(path, Intrinsics::Required)
 }
@@ -107,7 +107,7 @@ fn add_cameras(
     Ok(())
 }
 
-/// The camera, and its form where nothing can be projected with it.
+/// The camera, and its form if it cannot project.
 fn camera(name: &str, intrinsic: &Intrinsic) -> Result<(Camera, Option<CameraForm>), String> {
     let broken = || format!("{name} with invalid parameters");
     let size = intrinsic.value0.or(intrinsic.width.zip(intrinsic.height).map(|(width, height)| Size { width, height }));

@@ -41,7 +41,7 @@ fn read_value(document: &Value) -> Result<Reconstruction, IoError> {
 }
 
 #[test]
-fn centres_and_pixels_take_our_conventions() {
+fn centers_and_pixels_are_converted_to_our_conventions() {
     let model = read_value(&document()).unwrap();
     assert_eq!(model.images.len(), 2, "the view without pose is not registered");
     assert_eq!(model.cameras[&CameraId(2)].principal, [320.0, 240.0]);
@@ -58,7 +58,7 @@ fn centres_and_pixels_take_our_conventions() {
 }
 
 #[test]
-fn the_pictures_folder_is_part_of_the_name() {
+fn the_image_folder_is_part_of_the_name() {
     let mut document = document();
     for (view, path) in [(0, "left"), (1, "right/")] {
         let data = &mut document["views"][view]["value"]["ptr_wrapper"]["data"];
@@ -101,7 +101,7 @@ fn every_camera_of_openmvg_is_read() {
 }
 
 #[test]
-fn a_model_comes_back_but_for_colours_and_unmatched_features() {
+fn a_model_round_trips_except_for_colors_and_unmatched_features() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("sfm_data.json");
     let model = odd_model();
@@ -111,7 +111,7 @@ fn a_model_comes_back_but_for_colours_and_unmatched_features() {
 }
 
 #[test]
-fn two_focal_lengths_have_no_place() {
+fn two_focal_lengths_are_refused() {
     let mut model = odd_model();
     model.cameras.values_mut().next().unwrap().focal = [500.0, 501.0];
     let folder = tempfile::tempdir().unwrap();
@@ -120,7 +120,7 @@ fn two_focal_lengths_have_no_place() {
 }
 
 #[test]
-fn what_does_not_fit_is_refused() {
+fn inconsistent_files_are_refused() {
     let refused = |change: fn(&mut Value)| {
         let mut document = document();
         change(&mut document);
@@ -148,7 +148,7 @@ fn the_same_model_is_read_from_openmvg_and_colmap() {
         assert_eq!((&image.name, image.camera), (&expected.name, expected.camera));
         let from_other = image.cam_from_world * expected.cam_from_world.inverse();
         assert!(from_other.rotation.angle() < 1e-7 && from_other.translation.norm() < 1e-12, "{}", image.name);
-        // The keypoint that COLMAP's model holds without a point has no place in OpenMVG's.
+        // The keypoint without a point in COLMAP's model cannot be represented in OpenMVG's.
         let matched = expected.observations.iter().filter(|o| o.point.is_some());
         assert!(image.observations.iter().zip(matched).all(|(a, b)| (a.pixel - b.pixel).norm() < 1e-9));
     }

@@ -1,4 +1,4 @@
-//! From a reconstruction to the file.
+//! Conversion of a reconstruction to the file.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -12,11 +12,11 @@ use crate::io::interchange::assembly::{Losses, Short, check_finite, written_came
 use crate::io::{IoError, atomic};
 use crate::scene::{CameraId, Image, ImageId, Point3d, Point3dId, Reconstruction};
 
-/// Writes a reconstruction and says what the format has no place for.
+/// Writes a reconstruction and returns the losses of the format.
 ///
 /// # Errors
-/// A system error, a number that is not finite, or a camera that OpenMVG does not have: two focal lengths, or another
-/// lens.
+/// A system error, a number that is not finite, or a camera without an OpenMVG equivalent: two focal lengths, or
+/// another distortion model.
 pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_finite(path, model)?;
     let keys = Keys::of(model);
@@ -34,7 +34,7 @@ pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     Ok(Losses::default().colors(model).unmatched_features(model))
 }
 
-/// The keys of ids: one less, or dense where that is no key.
+/// Keys of ids: one less, or dense if that is not a valid key.
 struct Keys {
     cameras: BTreeMap<CameraId, u32>,
     images: BTreeMap<ImageId, u32>,
@@ -59,7 +59,7 @@ fn keys<'a, K: Ord + Copy + 'a>(
     own.unwrap_or_else(|| ids.zip(0..).map(|(id, key)| (*id, key)).collect())
 }
 
-/// Numbers that cereal gives to pointers, and to types where they occur first.
+/// Numbers of cereal for pointers, and for types at their first occurrence.
 #[derive(Default)]
 struct Pointers {
     num_pointers: u32,
@@ -120,7 +120,7 @@ fn intrinsics(
     model.cameras.iter().map(entry).collect()
 }
 
-/// The smallest of OpenMVG's models that holds a camera.
+/// Smallest OpenMVG model that can represent a camera.
 fn covered(camera: &Camera) -> Result<(&'static str, Intrinsic), String> {
     let [focal, fy] = camera.focal;
     if focal != fy {

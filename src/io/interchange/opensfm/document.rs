@@ -1,4 +1,4 @@
-//! The shape of `reconstruction.json`, as far as it is used.
+//! Structure of `reconstruction.json`, limited to the used keys.
 
 use std::collections::BTreeMap;
 
@@ -12,7 +12,7 @@ pub struct Document {
     pub points: BTreeMap<String, PointEntry>,
 }
 
-/// All parameters that some projection has; those of others are absent.
+/// Parameters of all projections; those of other projections are absent.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(default)]
 pub struct CameraEntry {

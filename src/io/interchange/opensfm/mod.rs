@@ -1,8 +1,8 @@
 //! OpenSfM's `reconstruction.json`, and the `tracks.csv` next to it.
 //!
 //! Conventions are those of OpenSfM's documentation (`doc/source/geometry.rst`, `doc/source/dataset.rst`) and of its
-//! `opensfm/io.py`. Shots hold `cam_from_world` as a rotation vector and a translation; camera axes are this program's.
-//! Image coordinates are *normalised*: with s = max(width, height) a pixel (u, v), counted from the corner, is at
+//! `opensfm/io.py`. Shots have `cam_from_world` as a rotation vector and a translation; camera axes are this program's.
+//! Image coordinates are *normalized*: with s = max(width, height) a pixel (u, v), counted from the corner, is at
 //!
 //! ```text
 //! ((u − width/2) / s, (v − height/2) / s),
@@ -13,8 +13,8 @@
 //! `fisheye_opencv` its OPENCV_FISHEYE, `spherical` its EQUIRECTANGULAR.
 //!
 //! Points have no observations in the JSON; these are in `tracks.csv` (versions 1 and 2), which is read and written
-//! next to it. Names of shots are names of images, in whose order ids are given. Of several reconstructions in one file
-//! the largest is read. `reference_lla` is skipped: nothing here is on the globe.
+//! next to it. Names of shots are names of images, in whose order ids are assigned. Of several reconstructions in one
+//! file the largest is read. `reference_lla` is skipped: models are not georeferenced.
 
 mod document;
 mod tracks;
@@ -36,10 +36,10 @@ pub fn files(path: &Path) -> [PathBuf; 2] {
     [path.to_path_buf(), path.with_file_name("tracks.csv")]
 }
 
-/// Reads the largest reconstruction of a file, with the observations of `tracks.csv` if that lies next to it.
+/// Reads the largest reconstruction of a file, with the observations of `tracks.csv` if that is next to it.
 ///
 /// # Errors
-/// A missing file, JSON of another shape, a camera of an unknown kind, a shot whose camera is not there, or a broken
+/// A missing file, JSON of another structure, a camera of an unknown kind, a shot with a missing camera, or an invalid
 /// line of the tracks.
 pub fn read(path: &Path) -> Result<Reconstruction, IoError> {
     let list: Vec<Document> = json::read_model(path, "OpenSfM's reconstruction.json")?;
@@ -82,14 +82,14 @@ pub fn num_images_skipped(path: &Path) -> usize {
     counts.clone().sum::<usize>() - counts.max().unwrap_or(0)
 }
 
-/// The keys of points are their ids if all of them are positive numbers, else they are counted.
+/// Ids of points: their keys if all of them are positive numbers, otherwise consecutive numbers.
 fn point_ids(points: &BTreeMap<String, PointEntry>) -> Vec<(Point3dId, (&String, &PointEntry))> {
     let number = |key: &str| key.parse::<u64>().ok().filter(|id| *id > 0 && id.to_string() == key);
     let own: Option<Vec<_>> = points.iter().map(|(key, point)| Some((Point3dId(number(key)?), (key, point)))).collect();
     own.unwrap_or_else(|| (1..).map(Point3dId).zip(points).collect())
 }
 
-/// The camera, and its form where nothing can be projected with it.
+/// The camera, and its form if it cannot project.
 fn camera(entry: &CameraEntry) -> Result<(Camera, Option<CameraForm>), String> {
     let kind = entry.projection_type.as_str();
     let (width, height) = (entry.width, entry.height);
@@ -124,10 +124,11 @@ fn camera(entry: &CameraEntry) -> Result<(Camera, Option<CameraForm>), String> {
     }
 }
 
-/// Writes a reconstruction and its tracks, and says what the format has no place for.
+/// Writes a reconstruction and its tracks, and returns the losses of the format.
 ///
 /// # Errors
-/// A system error, a number that is not finite, a lens that OpenSfM does not have, or a name that no line can hold.
+/// A system error, a number that is not finite, a camera model that OpenSfM does not have, or a name that no line can
+/// represent.
 pub fn write(path: &Path, model: &Reconstruction) -> Result<Losses, IoError> {
     check_finite(path, model)?;
     check_line_names(path, model)?;
@@ -162,7 +163,7 @@ fn shot(image: &Image) -> ShotEntry {
     }
 }
 
-/// `perspective` where that is enough, else `brown`.
+/// `perspective` if that suffices, otherwise `brown`.
 fn covered_entry(camera: &Camera) -> CameraEntry {
     let [width, height] = [camera.width, camera.height].map(f64::from);
     let side = width.max(height);

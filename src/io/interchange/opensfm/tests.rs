@@ -20,7 +20,7 @@ fn read_text(json: &str, tracks: &str) -> Result<Reconstruction, IoError> {
 }
 
 #[test]
-fn normalised_values_become_pixels() {
+fn normalized_values_become_pixels() {
     let model = read_text(GOLDEN, TRACKS).unwrap();
     let camera = model.cameras[&CameraId(1)];
     assert_eq!(camera.parameters(), [800.0, 900.0, 510.0, 230.0, 0.1, 0.2, 0.4, 0.5, 0.3]);
@@ -32,11 +32,11 @@ fn normalised_values_become_pixels() {
 }
 
 #[test]
-fn a_model_comes_back_with_its_tracks() {
+fn a_model_round_trips_with_its_tracks() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("reconstruction.json");
     let mut model = odd_model();
-    // Names are the order of this format.
+    // Ids follow the order of names in this format.
     let names: Vec<_> = model.images.values().map(|image| image.name.clone()).collect();
     let mut sorted = names.clone();
     sorted.sort();
@@ -56,7 +56,7 @@ fn a_model_comes_back_with_its_tracks() {
 }
 
 #[test]
-fn other_lenses_are_carried_and_unknown_ones_named() {
+fn unsupported_cameras_are_preserved_and_unknown_ones_named() {
     let fisheye = GOLDEN.replace("brown", "fisheye_opencv").replace("\"p1\"", "\"k4\"");
     let model = read_text(&fisheye, TRACKS).unwrap();
     let params = vec![800.0, 900.0, 510.0, 230.0, 0.1, 0.2, 0.3, 0.4];

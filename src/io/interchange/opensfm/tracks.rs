@@ -1,5 +1,5 @@
 //! `tracks.csv`: after a line with the version, one observation a line, its fields separated by tabs: image, track,
-//! feature, normalised x and y, scale, red, green, blue, and from version 2 on segmentation and instance
+//! feature, normalized x and y, scale, red, green, blue, and from version 2 on segmentation and instance
 //! (`opensfm/src/map`).
 
 use std::collections::BTreeMap;
@@ -14,10 +14,10 @@ use crate::scene::{ImageId, Reconstruction};
 
 const VERSIONS: [&str; 2] = ["OPENSFM_TRACKS_VERSION_v1", "OPENSFM_TRACKS_VERSION_v2"];
 
-/// Where the points of tracks are seen, pixels; by the name of the track.
+/// Observations of the tracks' points, pixels; by the name of the track.
 pub type Tracks = BTreeMap<String, Vec<(ImageId, Point2<f64>)>>;
 
-/// Observations by track, in images of the model; none where there is no file.
+/// Reads the observations by track, in images of the model; none if the file is missing.
 pub fn read(path: &Path, model: &Reconstruction) -> Result<Tracks, IoError> {
     let mut seen = Tracks::new();
     if !path.is_file() {
@@ -56,7 +56,7 @@ pub fn read(path: &Path, model: &Reconstruction) -> Result<Tracks, IoError> {
     Ok(seen)
 }
 
-/// Observations of points alone, image by image.
+/// Writes the observations of points only, image by image.
 pub fn write(out: &mut dyn Write, model: &Reconstruction) -> std::io::Result<()> {
     writeln!(out, "{}", VERSIONS[1])?;
     for image in model.images.values() {
@@ -70,7 +70,7 @@ pub fn write(out: &mut dyn Write, model: &Reconstruction) -> std::io::Result<()>
             let x = (observation.pixel.x - width / 2.0) / side;
             let y = (observation.pixel.y - height / 2.0) / side;
             let [r, g, b] = point.rgb;
-            // OpenSfM wants a scale; nothing is known of it. −1 means no segmentation and no instance.
+            // OpenSfM requires a scale, which is unknown. −1 means no segmentation and no instance.
             writeln!(out, "{}\t{}\t{feature}\t{x}\t{y}\t{}\t{r}\t{g}\t{b}\t-1\t-1", image.name, id.0, 1.0 / side)?;
         }
     }

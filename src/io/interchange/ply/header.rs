@@ -1,4 +1,4 @@
-//! The header: what elements follow, and how their properties are stored.
+//! PLY header: elements and the storage of their properties.
 
 use std::path::Path;
 
@@ -78,7 +78,7 @@ impl Scalar {
 }
 
 impl Header {
-    /// Reads the header; the second value is what follows it.
+    /// Reads the header; the second value is the rest of the file.
     pub fn parse<'a>(path: &Path, content: &'a [u8]) -> Result<(Self, &'a [u8]), IoError> {
         let mut rest = content;
         let mut encoding = None;
@@ -138,7 +138,7 @@ fn parse_property(description: &[&str]) -> Option<Property> {
     Some(Property { name: name.into(), kind })
 }
 
-/// More records than the rest of the file can hold are an error before the first of them is read.
+/// Refuses more records than the rest of the file can hold, before the first of them is read.
 fn check_counts(path: &Path, encoding: Encoding, elements: &[Element], num_bytes: usize) -> Result<(), IoError> {
     for element in elements {
         let least: usize = element.properties.iter().map(|p| least_bytes(encoding, p.kind)).sum();

@@ -1,4 +1,4 @@
-//! PLY: coloured points are written, triangle meshes are read and written.
+//! PLY: colored points are written, triangle meshes are read and written.
 //!
 //! Reading covers ASCII and both binary forms, any order of elements and properties, and polygons with more than three
 //! corners (as a fan). The format is G. Turk's; it is small enough to be read here, and the one crate for it panics on
@@ -17,7 +17,7 @@ use crate::io::{IoError, atomic};
 use crate::scene::TriangleMesh;
 use header::{Header, Kind};
 
-/// Writes coloured points: binary, positions as doubles.
+/// Writes colored points: binary, positions as doubles.
 ///
 /// # Errors
 /// A system error, or a position that is not finite.
@@ -50,11 +50,10 @@ pub fn write_mesh(path: &Path, mesh: &TriangleMesh) -> Result<(), IoError> {
     })
 }
 
-/// Reads a triangle mesh; polygons become fans of triangles, properties other than positions and corners are passed
-/// over.
+/// Reads a triangle mesh; polygons become fans of triangles, properties other than positions and corners are ignored.
 ///
 /// # Errors
-/// A missing or broken file, no faces, or a face that names a vertex which is not there.
+/// A missing or broken file, no faces, or a face with the index of a missing vertex.
 pub fn read_mesh(path: &Path) -> Result<TriangleMesh, IoError> {
     let content = files::read(path).map_err(IoError::system("read", path))?;
     let (header, body) = Header::parse(path, &content)?;

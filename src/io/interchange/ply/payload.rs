@@ -1,18 +1,18 @@
-//! The values after the header, one after another, whatever their encoding.
+//! Values after the header in sequence, for any encoding.
 
 use std::path::Path;
 
 use super::header::{Encoding, Kind, Property, Scalar};
 use crate::io::IoError;
 
-/// A place in the values of a file.
+/// Position in the values of a file.
 pub struct Values<'a> {
     path: &'a Path,
     encoding: Encoding,
     body: &'a [u8],
     /// Bytes of the file before `body`.
     header_bytes: usize,
-    /// Where in `body` the next value starts.
+    /// Offset of the next value in `body`.
     offset: usize,
 }
 
@@ -21,7 +21,7 @@ impl<'a> Values<'a> {
         Self { path, encoding, body, header_bytes, offset: 0 }
     }
 
-    /// An error near the value read last.
+    /// Creates an error near the value read last.
     pub fn error(&self, field: &str, problem: &str) -> IoError {
         IoError::Byte {
             path: self.path.into(),
@@ -31,7 +31,7 @@ impl<'a> Values<'a> {
         }
     }
 
-    /// Reads one property and gives each of its values to `take`.
+    /// Reads one property and passes each of its values to `take`.
     pub fn property(&mut self, property: &Property, mut take: impl FnMut(f64)) -> Result<(), IoError> {
         match property.kind {
             Kind::Single(scalar) => take(self.scalar(scalar, &property.name)?),

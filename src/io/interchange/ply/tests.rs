@@ -8,7 +8,7 @@ fn tetrahedron() -> TriangleMesh {
     }
 }
 
-/// The tetrahedron in a binary form, with properties and an element that do not matter.
+/// The tetrahedron in a binary form, with unused properties and an unused element.
 fn binary(big_endian: bool) -> Vec<u8> {
     let mut out = format!(
         "ply\r\nformat binary_{}_endian 1.0\ncomment made here\nelement vertex 4\nproperty uchar red\n\
@@ -67,7 +67,7 @@ fn a_polygon_becomes_a_fan() {
 }
 
 #[test]
-fn a_mesh_cut_anywhere_is_an_error() {
+fn a_truncated_mesh_is_an_error() {
     for whole in [binary(false), binary(true)] {
         for length in 0..whole.len() {
             assert!(read_bytes(&whole[..length]).is_err(), "cut at {length}");
@@ -76,7 +76,7 @@ fn a_mesh_cut_anywhere_is_an_error() {
 }
 
 #[test]
-fn impossible_files_say_what_is_wrong() {
+fn invalid_files_report_their_problem() {
     let header = |count: &str| format!("ply\nformat ascii 1.0\nelement vertex {count}\nproperty float x\nend_header\n");
     let cases = [
         ("obj\n".to_string(), "line 1: first line"),

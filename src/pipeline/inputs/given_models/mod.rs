@@ -1,8 +1,8 @@
-//! Models that the user gives: reconstructions of other programs, in every format that `io::model` reads.
+//! Given models: reconstructions of other programs, in every format that `io::model` reads.
 //!
-//! Poses and points are taken as they are. An image belongs to the frame of its name, and speaks of that frame's pixels
-//! afterwards: its picture may be the frame before it was reduced or turned, or without its distortion. Whatever else
-//! it is, it is refused. Reprojection errors are computed again, since files mean different things by them.
+//! Poses and points are used unchanged. An image belongs to the frame of its name, and is converted to that frame's
+//! pixels: it may be the frame before resizing or rotation, or the undistorted frame. Other images are rejected.
+//! Reprojection errors are recomputed, since their definition differs between programs.
 
 mod images;
 mod names;
@@ -21,7 +21,7 @@ use crate::pipeline::{PipelineError, Result};
 use crate::scene::{CameraId, Frame, ImageId, Reconstruction, Warning};
 use images::Pictures;
 
-/// Hash of all that is read of a model.
+/// Hash of all files of a model.
 ///
 /// # Errors
 /// As [`model::detect`], or a file that cannot be read.
@@ -30,16 +30,16 @@ pub(in crate::pipeline) fn fingerprint(path: &Path) -> Result<String> {
     fingerprint::of_files(&model::files_read(&place, format))
 }
 
-/// The place of a model in the folder or at the file that is given; where there is none, what is given.
+/// Path of a model in the given folder or at the given file; the given path if there is none.
 pub(in crate::pipeline) fn place(path: &Path) -> PathBuf {
     model::detect(path).map_or_else(|_| path.to_owned(), |(place, _)| place)
 }
 
-/// A model that the user gives, with the ids and names of our frames. The stage `frames` must be done.
+/// A given model with the ids and names of our frames. The stage `frames` must be done.
 ///
 /// # Errors
-/// What the format's reader says; a lens that nothing can be projected with; [`PipelineError::Options`] for images none
-/// of which is a frame, pictures that are not the frames, or points that no frame sees.
+/// The errors of the format's reader; intrinsics that cannot project; [`PipelineError::Options`] if no image is a
+/// frame, if images are not the frames, or if no frame observes a point.
 pub(in crate::pipeline) fn read(path: &Path, target: Target, run: &Run) -> Result<(Reconstruction, ModelReport)> {
     let frames = run.frames()?;
     let turns = |id| run.source.quarter_turns(id);
@@ -64,7 +64,7 @@ pub(in crate::pipeline) fn read(path: &Path, target: Target, run: &Run) -> Resul
     Ok((model, report))
 }
 
-/// The model at a path in terms of the frames, and what is to be reported of it.
+/// The model at a path, converted to the frames, and notes for the report.
 fn placed(
     path: &Path,
     target: Target,
@@ -77,7 +77,7 @@ fn placed(
     let unstated = without_size(&place, format, &model);
     let (mut model, mut remarks) = names::with_frame_ids(path, model, frames)?;
     remarks.extend(images::fit(path, &mut model, &unstated, pictures)?);
-    // The ground and the scale ratio rest on points.
+    // The ground and the scale ratio depend on points.
     if model.points.is_empty() {
         return Err(PipelineError::Options(format!(
             "{}: no 3D point is observed in any frame; ground and scale need points; give a model with points and \
@@ -103,8 +103,8 @@ fn check_place(path: &Path, place: &Path, target: Target) -> Result<()> {
     )))
 }
 
-/// Cameras of which the file does not say how large their pictures are: NVM and Bundler have no sizes, and those of
-/// pictures that lie next to the file are read.
+/// Cameras without an image size in the file: NVM and Bundler store no sizes; those of images next to the file are
+/// read.
 fn without_size(place: &Path, format: Format, model: &Reconstruction) -> BTreeSet<CameraId> {
     if !matches!(format, Format::Nvm | Format::Bundler) {
         return BTreeSet::new();
@@ -144,7 +144,7 @@ mod tests {
     fn every_format_gives_the_model_that_colmap_gives() {
         let folder = tempfile::tempdir().unwrap();
         let (mut model, frames, size) = golden();
-        // What all formats hold: one focal length, the centre in the middle, no distortion.
+        // Common content of all formats: one focal length, the principal point at the center, no distortion.
         for camera in model.cameras.values_mut() {
             *camera = crate::camera::Camera::with_focal(size.0, size.1, camera.focal[0]);
         }
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_points_or_is_no_object_is_refused_with_a_cure() {
+    fn models_without_points_or_of_a_background_are_rejected_with_a_remedy() {
         let folder = tempfile::tempdir().unwrap();
         let (model, frames, size) = golden();
         let path = folder.path().join("transforms.json");
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_of_what_is_read_changes_the_fingerprint() {
+    fn changed_files_change_the_fingerprint() {
         let folder = tempfile::tempdir().unwrap();
         let (model, ..) = golden();
         let [project, json] = ["project", "reconstruction.json"].map(|name| folder.path().join(name));

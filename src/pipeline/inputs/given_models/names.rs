@@ -1,4 +1,4 @@
-//! Which frame an image of a given model is.
+//! Assignment of the images of a given model to frames.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -6,14 +6,14 @@ use std::path::Path;
 use crate::pipeline::{PipelineError, Result};
 use crate::scene::{Frame, Image, ImageId, Reconstruction, Topic, Warning};
 
-/// The model with the images that are frames, under the frames' ids and names, and what is to be reported of the
-/// others. Cameras and points that no frame has are left out.
+/// The model restricted to images that are frames, with the frames' ids and names, and notes on the other images.
+/// Cameras and points without a frame are removed.
 ///
-/// An image belongs to the frame of its name, else of its stem, else to the one whose index its stem is; where there is
-/// none, the same is tried with the names without their folders.
+/// An image belongs to the frame with its name, else with its stem, else with its stem as index. If no frame matches,
+/// the same is tried with the names without folders.
 ///
 /// # Errors
-/// [`PipelineError::Options`] if no image is a frame, or two are the same one.
+/// [`PipelineError::Options`] if no image is a frame, or two images are the same frame.
 pub(super) fn with_frame_ids(
     path: &Path,
     mut model: Reconstruction,
@@ -48,7 +48,7 @@ pub(super) fn with_frame_ids(
     Ok((model, remarks.into_iter().flatten().map(|text| Topic::GivenModelDoesNotFit.warning(text)).collect()))
 }
 
-/// The part of a name behind its folders, of either kind.
+/// The file name without folders; both kinds of separators count.
 fn file_name(name: &str) -> &str {
     name.rsplit(['/', '\\']).next().unwrap_or(name)
 }
@@ -57,7 +57,7 @@ fn stem(name: &str) -> &str {
     name.rsplit_once('.').map_or(name, |(stem, _)| stem)
 }
 
-/// The number that a stem is, without leading zeros; else the stem.
+/// The number in a numeric stem, without leading zeros; else the stem.
 fn index(name: &str) -> String {
     stem(name).parse::<u32>().map_or_else(|_| stem(name).to_owned(), |index| index.to_string())
 }
@@ -109,7 +109,7 @@ fn left_out(path: &Path, images: &BTreeMap<ImageId, Image>, frame_of: &BTreeMap<
         .then(|| format!("{path}: {num_left_out} of {num_images} images skipped: not frames of the input"))
 }
 
-/// Tools that take a video apart count pictures from 1: each image would be the frame after its own.
+/// Tools that extract frames from a video count from 1: each image would be assigned to the frame after its own.
 fn counted_from_one(path: &Path, images: &BTreeMap<ImageId, Image>, frames: &[Frame]) -> Option<String> {
     let number = |name: &str| stem(file_name(name)).parse::<u32>().ok();
     let numbers: Vec<u32> = images.values().filter_map(|image| number(&image.name)).collect();
@@ -181,7 +181,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_nothing_can_be_made_of_are_refused() {
+    fn names_without_a_frame_are_rejected() {
         let said = matched(&["frame_00001.png", "frame_00002.png"]).unwrap_err();
         assert!(said.contains("'frame_00001.png'") && said.contains("'000000.jpg'"), "{said}");
         let said = matched(&["a/000001.jpg", "b/000001.jpg"]).unwrap_err();
@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn images_counted_from_one_are_told() {
+    fn images_counted_from_one_are_reported() {
         let (_, remarks) = matched(&["1.png", "2.png", "3.png", "4.png"]).unwrap();
         assert!(remarks.iter().any(|remark| remark.text.contains("numbered from 1")), "{remarks:?}");
         assert!(matched(&["1.png", "2.png", "3.png"]).unwrap().1.is_empty());

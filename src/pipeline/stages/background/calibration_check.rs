@@ -8,21 +8,20 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::cameras::{self, CameraOrigin};
 use crate::scene::{CameraId, Reconstruction, Topic, Warning};
 
-/// Largest field of view that a pinhole with radial distortion describes, degrees.
+/// Largest field of view that a pinhole model with radial distortion describes, degrees.
 const MAX_FIELD_DEG: f64 = 150.0;
-/// Smallest field of view that a lens has, degrees: a telescope's.
+/// Smallest field of view of a lens, degrees: that of a telescope.
 const MIN_FIELD_DEG: f64 = 0.5;
-/// Below this a lens is a strong telephoto lens, degrees; more often the focal length is wrong.
+/// Field of view below which a lens is a strong telephoto lens, degrees; more often the focal length is wrong.
 const NARROW_FIELD_DEG: f64 = 10.0;
-/// Ratio of fx and fy beyond which differ too much: the strongest anamorphic lenses have 2.
+/// Maximum ratio of fx and fy: the strongest anamorphic lenses have 2.
 const MAX_ASPECT: f64 = 2.5;
-/// Ratio of fx and fy from which on a lens is anamorphic.
+/// Ratio of fx and fy from which a lens is anamorphic.
 const ODD_ASPECT: f64 = 1.1;
-/// Distance of the centre from the picture's middle, as a share of the side, from which on the picture was cut out of
-/// another.
+/// Distance of the principal point from the image center, as a share of the side, from which the image was cropped.
 const ODD_CENTRE: f64 = 0.25;
 
-/// Why a camera cannot be meant, with what to do; `None` for one that can.
+/// Returns the problem of an implausible camera and its remedy; `None` for a plausible one.
 pub(in crate::pipeline) fn impossible(camera: &Camera) -> Option<String> {
     let (field_deg, picture) = (field_deg(camera), picture(camera));
     if !(MIN_FIELD_DEG..=MAX_FIELD_DEG).contains(&field_deg) {
@@ -84,7 +83,7 @@ fn given(run: &Run, model: &Reconstruction, is_given: bool) -> Result<Vec<(Camer
     Ok(given.map(|(id, initial)| (id, initial.camera)).collect())
 }
 
-/// Compares given calibrations with a model, warns of those that do not fit, and notes the standard deviation of the
+/// Compares given calibrations with a model, warns of those that do not fit, and records the standard deviation of the
 /// focal length of a given model.
 ///
 /// # Errors
@@ -96,11 +95,11 @@ pub(super) fn check_fit(
     outcome: &mut Outcome,
 ) -> Result<()> {
     let std = run.options.intrinsics_std;
-    // Those that are held are compared all the same.
+    // Fixed intrinsics are compared, too.
     let known = if std.is_fixed() { Intrinsics::GIVEN } else { std };
     let first = model.cameras.keys().next();
     for (id, camera) in &given(run, model, report.given)? {
-        // What leaves the intrinsics undetermined speaks against none.
+        // A model that leaves the intrinsics undetermined is no evidence against any.
         let Ok(Some(fit)) = mapper::calibration_fit(model, *id, camera, known) else { continue };
         if fit.is_bad() {
             outcome.warn(Topic::CalibrationDoesNotFit.warning(misfit(camera, &fit, remedy(report.given, &std))));
@@ -140,7 +139,7 @@ fn misfit(given: &Camera, fit: &CalibrationFit, remedy: &str) -> String {
     )
 }
 
-/// Across the longer side of the picture.
+/// Field of view across the longer side of the image.
 fn field_deg(camera: &Camera) -> f64 {
     let half = f64::from(camera.width.max(camera.height)) / 2.0;
     2.0 * half.atan2(camera.mean_focal()).to_degrees()
@@ -165,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_lens_has_is_refused_by_name() {
+    fn implausible_cameras_are_rejected() {
         let cases = [
             ([5.0, 5.0, 480.0, 270.0], "field of view of 179°"),
             ([880.0, 880.0, 4800.0, 270.0], "outside the image of 960x540"),
@@ -178,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_odd_is_let_through_with_a_word() {
+    fn unusual_cameras_give_warnings() {
         let plain = camera([880.0, 880.0, 480.0, 270.0]);
         assert_eq!((impossible(&plain), doubts(&plain)), (None, Vec::new()));
         for (values, expected) in [

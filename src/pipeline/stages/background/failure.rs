@@ -1,4 +1,4 @@
-//! Properties of the images that explain why no background, or none with points, was reconstructed.
+//! Image properties that explain why no background, or none with points, was reconstructed.
 
 use std::collections::BTreeSet;
 
@@ -9,14 +9,15 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::stages::features::masking::Masking;
 use crate::pipeline::{Instances, Result};
 
-/// Frames that are examined, evenly over the input.
+/// Number of examined frames, evenly distributed over the input.
 const NUM_EXAMINED: usize = 5;
 /// Mean gray level below which an image is dark: night streets under lamps have 40 to 60.
 const DARK: f64 = 40.0;
-/// Share of an image that vehicles do not cover together, but their surroundings do.
+/// Masked share of an image above which given masks are probably inverted: vehicles together do not cover as much, but
+/// their surroundings do.
 const MOSTLY_MASKED: f64 = 0.6;
 
-/// Reasons to add to the failure of a background: dark images, masks that cover nearly all. Empty if the
+/// Reasons to add to the failure of a background: dark images, masks that cover nearly the whole image. Empty if the
 /// images explain nothing.
 ///
 /// # Errors
@@ -37,7 +38,7 @@ pub(in crate::pipeline) fn reasons(run: &Run) -> Result<String> {
     Ok(in_words(levels, shares, matches!(run.options.instances, Instances::Masks(_))))
 }
 
-/// * `levels`, `shares` – of each image the mean gray level, and the share that the masks cover.
+/// * `levels`, `shares` – mean gray level and masked share of each image.
 fn in_words(levels: Vec<f64>, shares: Vec<f64>, has_given_masks: bool) -> String {
     let (Some(mean), Some(masked)) = (upper_median(levels), upper_median(shares)) else { return String::new() };
     let mut words = String::new();

@@ -1,4 +1,4 @@
-//! The background of a camera that does not translate: its rotations, and no points.
+//! The background of a camera that does not translate: rotations without points.
 
 use super::{ModelReport, failure};
 use crate::features::TrackTable;
@@ -12,21 +12,22 @@ use crate::pipeline::stages::features;
 use crate::pipeline::{Result, Stage};
 use crate::scene::{Reconstruction, Topic};
 
-/// The ground's normal by straight lines, or `null`.
+/// File name of the ground's normal by straight lines; the file may contain `null`.
 const NORMAL: &str = "normal-by-lines.json";
 
-/// The ground's normal by straight lines; `None` where they show none. The stage must be done.
+/// The ground's normal by straight lines; `None` if they determine none. The stage must be done.
 pub(in crate::pipeline) fn normal_by_lines(run: &Run) -> Option<LineNormal> {
-    // A model that was given has no such file.
+    // A given model has no such file.
     run.workspace.read_state(NORMAL).ok().flatten()
 }
 
-/// Returns true if the camera stands: no map can be made then but of vehicles, or of turns that are taken for motion.
-pub(super) fn stands(run: &Run, table: &TrackTable) -> Result<bool> {
+/// Returns true if the camera does not translate: a map could then only be one of vehicles, or of rotations mistaken
+/// for translation.
+pub(super) fn camera_only_rotates(run: &Run, table: &TrackTable) -> Result<bool> {
     Ok(rotating_camera(table, &cameras::first(run)?.camera).is_some_and(|found| found.is_still()))
 }
 
-/// Rotations of the views, with their report; `None` where rotations do not explain them.
+/// Rotations of the views, with their report; `None` if pure rotation does not explain the views.
 pub(super) fn reconstruct(run: &Run, outcome: &mut Outcome) -> Result<Option<(Reconstruction, ModelReport)>> {
     let table = features::of_background(run)?;
     let InitialCamera { camera, known, .. } = cameras::first(run)?;
@@ -54,9 +55,9 @@ pub(super) fn reconstruct(run: &Run, outcome: &mut Outcome) -> Result<Option<(Re
     Ok(Some((model, report)))
 }
 
-/// Straight lines of some of the first views; fewer where frames cannot be decoded.
+/// Straight lines of some of the first views; fewer if frames cannot be decoded.
 fn lines_of_first(run: &Run, table: &TrackTable, outcome: &mut Outcome) -> Result<Vec<ImageLines>> {
-    // Apart, so that compression and moving vehicles differ. They average noise; beyond five nothing changes.
+    // Spaced views differ in compression and moving vehicles. They average noise; beyond five nothing changes.
     let views = table.views.iter().filter(|view| !view.pixels.is_empty()).step_by(6).take(5);
     let chosen = views.map(|view| view.image.frame()).collect();
     let mut found = Vec::new();

@@ -1,6 +1,6 @@
-//! Frame on the map of a background, from positions of photographs or a log alone; `metric` has that of all sources.
+//! Map frame of a background by photo positions or a log alone; the stage `metric` uses all sources.
 //!
-//! Written at the end of `tractrix sfm` and not by the stage: a new log must not mean a new reconstruction.
+//! Written at the end of `tractrix sfm` and not by the stage: a new log must not require a new reconstruction.
 
 use std::path::Path;
 
@@ -12,15 +12,15 @@ use crate::pipeline::inputs::telemetry::{self, Origin};
 use crate::pipeline::{Result, TelemetryChoice};
 use crate::scene::{Metric, MetricFrame, Reconstruction};
 
-/// The frame, or `null`.
+/// File name of the frame; the file may contain `null`.
 const FILE: &str = "background-frame.json";
 
-/// Frame on the map of the background in an output folder of `tractrix sfm`; `None` if it has none.
+/// Map frame of the background in an output folder of `tractrix sfm`; `None` if it has none.
 pub fn background_frame(output: &Path) -> Option<MetricFrame> {
     read_state(output, FILE).ok().flatten()
 }
 
-/// Meters of a background by its telemetry; writes their frame for [`background_frame`].
+/// Meters per unit of a background by its telemetry; writes the map frame for [`background_frame`].
 ///
 /// # Errors
 /// A file that cannot be written.
@@ -30,7 +30,8 @@ pub(in crate::pipeline) fn write(run: &Run, background: &Reconstruction) -> Resu
     Ok(metric)
 }
 
-/// Telemetry of the input on the path of a background, and its origin; `None` where there is none, or it does not fit.
+/// Alignment of the input's telemetry with the background's camera trajectory, and its origin; `None` without
+/// telemetry, or if it does not fit.
 fn fit(run: &Run, background: &Reconstruction) -> Option<(FittedLog, Origin)> {
     if run.options.metric.telemetry == TelemetryChoice::None || background.points.is_empty() {
         return None;

@@ -1,4 +1,4 @@
-//! Stage `background`, and what it shares with `objects`: a model, reconstructed or given.
+//! Stage `background`, and code shared with `objects`: a model, reconstructed or given.
 
 pub(in crate::pipeline) mod calibration_check;
 pub(in crate::pipeline) mod failure;
@@ -60,7 +60,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
         calibration_check::check_fit(run, &model, &mut report, outcome)?;
     }
     if let Some(failure) = &mut report.failure {
-        failure.push_str(&cure_of_large_frames(run.size()));
+        failure.push_str(&remedy_for_large_frames(run.size()));
         failure.push_str(&failure::reasons(run)?);
         let text = format!("background not reconstructed: {failure}");
         outcome.note(Topic::BackgroundNotReconstructed.warning(text));
@@ -94,14 +94,14 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// A map of the views, or rotations alone where the camera does not translate.
+/// Reconstructs a map of the views, or rotations alone if the camera does not translate.
 fn reconstruct_views(run: &Run, outcome: &mut Outcome) -> Result<(Reconstruction, ModelReport)> {
     let initial = cameras::initial(run)?;
     let cameras: Vec<_> = initial.iter().map(|initial| (initial.camera, initial.known)).collect();
     let table = features::of_background(run)?;
     let may_hover = order::found(run)?.in_time && !run.options.scale.method_only;
     if may_hover
-        && hovering::stands(run, &table)?
+        && hovering::camera_only_rotates(run, &table)?
         && let Some(found) = hovering::reconstruct(run, outcome)?
     {
         return Ok(found);
@@ -137,10 +137,10 @@ fn warning_of_remark(remark: &ModelWeakness) -> Warning {
     topic.warning(remark.to_string())
 }
 
-/// Remedy where large frames gave no model; empty for others. Points are tracked within a fixed number of pixels: in
+/// Remedy if large frames gave no model; empty for others. Points are tracked within a fixed number of pixels: in
 /// larger frames those near the camera move too far between frames, and the rest are far away and have hardly any
 /// parallax.
-fn cure_of_large_frames((width, height): (u32, u32)) -> String {
+fn remedy_for_large_frames((width, height): (u32, u32)) -> String {
     // Longer side above which frames are large, and that of the remedy, pixels.
     const LARGE_PX: u32 = 1280;
     match width.max(height) > LARGE_PX {
@@ -154,7 +154,7 @@ fn cure_of_large_frames((width, height): (u32, u32)) -> String {
 /// Prior standard deviations of fx, fy, cx, cy, k1, k2 of a model's cameras.
 fn prior_std(run: &Run, model: &Reconstruction, is_given: bool) -> Result<BTreeMap<CameraId, [f64; NUM_INTRINSICS]>> {
     let initial = if is_given { Vec::new() } else { cameras::initial(run)? };
-    // The cameras of a reconstructed model count from 1.
+    // Camera ids of a reconstructed model start at 1.
     let initial_of = |id: &CameraId| initial.get((id.0 as usize).checked_sub(1)?);
     let known = |id: &CameraId| match is_given {
         true => run.options.intrinsics_std,
@@ -163,10 +163,10 @@ fn prior_std(run: &Run, model: &Reconstruction, is_given: bool) -> Result<BTreeM
     Ok(model.cameras.iter().map(|(id, camera)| (*id, known(id).std_of(camera))).collect())
 }
 
-/// Standard deviations of the camera positions, in units of the background; `None` where there is too little data.
+/// Standard deviations of the camera positions, in units of the background; `None` with too little data.
 fn center_figures(model: &Reconstruction, prior_std: &BTreeMap<CameraId, [f64; NUM_INTRINSICS]>) -> Option<Value> {
-    // A model that leaves something undetermined has no such figures, which is no reason to stop. Sixteen images are
-    // enough for a median.
+    // A model with undetermined parameters has no such values, which is no reason to stop. Sixteen images are enough
+    // for a median.
     let found = bundle::center_deviations(model, 16, prior_std).ok()??;
     let mut centers: Vec<f64> = found.centers.into_values().collect();
     centers.sort_by(f64::total_cmp);
@@ -184,14 +184,14 @@ pub(in crate::pipeline) fn hovers(run: &Run) -> bool {
     background_report(run).is_ok_and(|report| report.num_registered > 0 && report.num_points == 0)
 }
 
-/// Standard deviation of the background's focal length as a share of it, what is known of lenses beforehand included;
-/// `None` where it was given. The stage must be done.
+/// Standard deviation of the background's focal length as a share of it, with the prior on lenses included; `None` if
+/// it was given. The stage must be done.
 pub(in crate::pipeline) fn focal_deviation(run: &Run) -> Result<Option<f64>> {
     Ok(background_report(run)?.focal_deviation())
 }
 
-/// The one place where structure from motion is called. `poses` are those that a map starts from, if any; `watch`
-/// receives the finished share.
+/// The only caller of structure from motion. `poses` are pose priors that initialize the map, if any; `watch` receives
+/// the finished share.
 pub(in crate::pipeline) fn reconstruct(
     run: &Run,
     mut table: crate::features::TrackTable,
@@ -210,7 +210,7 @@ pub(in crate::pipeline) fn reconstruct(
     mapper::cut_long_tracks(&mut table, &cameras, of_video, options, seed);
     let (mut model, report) = mapper::reconstruct_watched(table, &cameras, known, options, seed, poses, watch)?;
     if model.is_empty() {
-        // Even an empty model says which cameras it would have had.
+        // Even an empty model contains the cameras it would have had.
         model.cameras = (1..).map(CameraId).zip(cameras).collect();
     } else {
         let used: BTreeSet<CameraId> = model.images.values().map(|image| image.camera).collect();
@@ -220,21 +220,22 @@ pub(in crate::pipeline) fn reconstruct(
     Ok((model, described))
 }
 
-/// The model of a target that stands still in front of the cameras of the background; `None` where its points move.
+/// The model of a stationary target, by the cameras of the background; `None` if its points move.
 pub(in crate::pipeline) fn triangulate(
     table: &crate::features::TrackTable,
     camera: Camera,
     options: &mapper::Options,
     background: &Reconstruction,
 ) -> Result<Option<(Reconstruction, ModelReport)>> {
-    // Points of a vehicle that stands are explained but for reflections, shadows and what is seen through windows.
-    const STILL_SHARE: f64 = 0.8;
+    // Minimum share of explained points of a stationary vehicle: reflections, shadows and points seen through windows
+    // are not explained.
+    const MIN_EXPLAINED_SHARE: f64 = 0.8;
     let pose = |view: &crate::features::tracks::View| Some(background.images.get(&view.image)?.cam_from_world);
     let poses: Vec<_> = table.views.iter().map(pose).collect();
     let (model, report, explained) = mapper::triangulate(table, &[camera], &poses, options)?;
-    let is_still = explained >= STILL_SHARE && model.points.len() >= options.min_initial_inliers / 2;
+    let is_stationary = explained >= MIN_EXPLAINED_SHARE && model.points.len() >= options.min_initial_inliers / 2;
     tracing::debug!("{} points from the background's cameras explain {explained:.3}", model.points.len());
-    Ok(is_still.then(|| {
+    Ok(is_stationary.then(|| {
         let described = ModelReport { shares_cameras: true, ..described(&model, &report) };
         (model, described)
     }))
@@ -262,12 +263,12 @@ fn described(model: &Reconstruction, report: &mapper::Report) -> ModelReport {
     described
 }
 
-/// Puts a model in its public place, whole.
+/// Stores a model as a public result, atomically.
 pub(in crate::pipeline) fn store(run: &Run, folder: &Path, model: &Reconstruction) -> Result<()> {
     run.workspace.put_folder(folder, |fresh| Ok(colmap::write(fresh, model, run.options.model_files)?))
 }
 
-/// Warns where a target is visible in frames whose camera is not known.
+/// Warns if a target is visible in unregistered frames.
 pub(in crate::pipeline) fn warn_of_gaps(target: &str, report: &ModelReport, outcome: &mut Outcome) {
     let missing = report.unregistered.len();
     if missing == 0 {
@@ -290,8 +291,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn large_frames_have_a_cure() {
-        assert!(cure_of_large_frames((1920, 1080)).contains("--max-dimension 1280"));
-        assert_eq!(cure_of_large_frames((720, 1280)), "");
+    fn large_frames_have_a_remedy() {
+        assert!(remedy_for_large_frames((1920, 1080)).contains("--max-dimension 1280"));
+        assert_eq!(remedy_for_large_frames((720, 1280)), "");
     }
 }

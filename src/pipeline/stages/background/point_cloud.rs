@@ -1,4 +1,4 @@
-//! Point clouds for programs that look at PLY.
+//! Point clouds in PLY format.
 
 use std::path::PathBuf;
 
@@ -9,14 +9,13 @@ use crate::pipeline::Result;
 use crate::pipeline::driver::run::Run;
 use crate::scene::{ObjectTrajectory, Reconstruction};
 
-/// Writes the background's points; gives the file.
+/// Writes the background's points; returns the file path.
 pub(in crate::pipeline) fn background(run: &Run, model: &Reconstruction) -> Result<PathBuf> {
     let points: Vec<_> = model.points.values().map(|point| (point.position, point.rgb)).collect();
     write(run, run.workspace.background_points(), &points)
 }
 
-/// Writes an object's points where they are in every frame of its trajectory, in the background's frame; gives the
-/// file.
+/// Writes an object's points at all poses of its trajectory, in the background's frame; returns the file path.
 pub(in crate::pipeline) fn object(run: &Run, trajectory: &ObjectTrajectory, model: &Reconstruction) -> Result<PathBuf> {
     let placed = |pose: &crate::scene::ObjectPose| {
         let world_from_object = pose.world_from_object;

@@ -1,4 +1,4 @@
-//! All image points that a run followed on the background, also where no point or pose came of them.
+//! All image points tracked on the background, including those without a 3D point or a pose.
 
 use std::path::Path;
 
@@ -11,8 +11,8 @@ use crate::pipeline::driver::workspace::{marker_name, read_state};
 use crate::pipeline::{Marker, Result, Stage};
 use crate::scene::{CameraId, TrackElement};
 
-/// The features of the background's frames and what tracks they belong to; `None` if the folder has none: it is no
-/// output folder, or its background was given.
+/// The features of the background's frames and their tracks; `None` if the folder has none: it is no output folder, or
+/// its background was given.
 ///
 /// # Errors
 /// A folder that cannot be read, or a damaged file in it.

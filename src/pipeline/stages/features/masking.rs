@@ -1,4 +1,4 @@
-//! Which pixels are background: it keeps away from all that moves or may move.
+//! Background masks: they exclude all movable objects.
 
 use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::given_masks::MaskFolder;
@@ -6,26 +6,26 @@ use crate::pipeline::stages::segment;
 use crate::pipeline::{Instances, Result};
 use crate::scene::{Frame, FrameId, Mask};
 
-/// Where something is that may move by itself.
+/// Source of the masks of movable objects.
 enum Movable {
-    /// Nobody looked.
+    /// No source.
     Nothing,
-    /// Masks that the user gives.
+    /// Masks given by the user.
     Given(MaskFolder),
-    /// Instances by a network, also those that are not tracked: a parked car may leave, and a person walks.
+    /// Instances by a network, including untracked ones: a parked car may leave, and a person walks.
     Masks(segment::DetectionFolder),
-    /// The same as boxes, in the frames at which the detector looked, ascending.
+    /// Boxes of the detector, and the frames in which it ran, ascending.
     Boxes(segment::BoxFolder, Vec<FrameId>),
 }
 
-/// Gives the background's masks of frames.
+/// Source of the background masks of frames.
 pub(in crate::pipeline) struct Masking {
     movable: Movable,
     dilation_px: u32,
 }
 
 impl Masking {
-    /// The stage `segment` must be done.
+    /// Opens the source of the masks; the stage `segment` must be done.
     pub(in crate::pipeline) fn new(run: &Run) -> Result<Self> {
         let dilation_px = run.options.masking.dilation_px(run.size());
         let movable = match &run.options.instances {
@@ -34,14 +34,14 @@ impl Masking {
             Instances::Model(_) => Movable::Masks(segment::finished(run)),
             Instances::Vehicles => {
                 let boxes = segment::finished_boxes(run);
-                let looked = run.frames()?.iter().filter(|frame| boxes.has(frame)).map(|frame| frame.id).collect();
-                Movable::Boxes(boxes, looked)
+                let detected = run.frames()?.iter().filter(|frame| boxes.has(frame)).map(|frame| frame.id).collect();
+                Movable::Boxes(boxes, detected)
             }
         };
         Ok(Self { movable, dilation_px })
     }
 
-    /// Where nothing moves in a frame, whose picture has a size.
+    /// The background mask of a frame, at the size of its image.
     pub(in crate::pipeline) fn background(&self, frame: &Frame, size: (u32, u32)) -> Result<Mask> {
         Ok(self.movable(frame, size)?.dilated(self.dilation_px).complement())
     }
@@ -55,8 +55,8 @@ impl Masking {
                 let found = folder.read_masks(frame.id, (width, height), |found| &found.mask)?;
                 found.iter().for_each(|found| movable.union_with(&found.mask));
             }
-            Movable::Boxes(folder, looked) => {
-                for near in nearest(looked, frame.id) {
+            Movable::Boxes(folder, detected) => {
+                for near in nearest(detected, frame.id) {
                     folder.read(near)?.iter().for_each(|found| movable.fill_rect(&found.rect, true));
                 }
             }
@@ -65,14 +65,14 @@ impl Masking {
     }
 }
 
-/// A frame itself if it is among those that were looked at, else the ones before and after it: what moves between two
-/// looks lies between two boxes that overlap or nearly do.
+/// A frame itself if the detector ran in it, else the nearest such frames before and after it: an object that moves
+/// between two detections is inside two boxes that overlap or nearly do.
 ///
-/// * `looked` – ascending.
-fn nearest(looked: &[FrameId], frame: FrameId) -> Vec<FrameId> {
-    match looked.binary_search(&frame) {
+/// * `detected` – frames in which the detector ran, ascending.
+fn nearest(detected: &[FrameId], frame: FrameId) -> Vec<FrameId> {
+    match detected.binary_search(&frame) {
         Ok(_) => vec![frame],
-        Err(after) => looked[after.saturating_sub(1)..looked.len().min(after + 1)].to_vec(),
+        Err(after) => detected[after.saturating_sub(1)..detected.len().min(after + 1)].to_vec(),
     }
 }
 
@@ -81,12 +81,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn between_two_looks_both_count() {
-        let looked = [2, 4, 9].map(FrameId);
-        assert_eq!(nearest(&looked, FrameId(4)), [FrameId(4)]);
-        assert_eq!(nearest(&looked, FrameId(3)), [FrameId(2), FrameId(4)]);
-        assert_eq!(nearest(&looked, FrameId(0)), [FrameId(2)]);
-        assert_eq!(nearest(&looked, FrameId(11)), [FrameId(9)]);
+    fn between_two_detections_both_count() {
+        let detected = [2, 4, 9].map(FrameId);
+        assert_eq!(nearest(&detected, FrameId(4)), [FrameId(4)]);
+        assert_eq!(nearest(&detected, FrameId(3)), [FrameId(2), FrameId(4)]);
+        assert_eq!(nearest(&detected, FrameId(0)), [FrameId(2)]);
+        assert_eq!(nearest(&detected, FrameId(11)), [FrameId(9)]);
         assert_eq!(nearest(&[], FrameId(1)), []);
     }
 }

@@ -1,4 +1,4 @@
-//! Stage `features`: tracks of image points on the background. Besides, how such tracks lie on disk.
+//! Stage `features`: tracks of image points on the background, and the file format of such tracks.
 
 pub(in crate::pipeline) mod found_features;
 pub(in crate::pipeline) mod masking;
@@ -8,7 +8,7 @@ use std::path::{Path, PathBuf};
 
 use serde_json::{Value, json};
 
-use super::motion::point_tracks::{self, Followed};
+use super::motion::point_tracks::{self, TrackedPoints};
 use crate::features::{FrontEnd, TrackTable};
 use crate::image::Picture;
 use crate::motion::PointFollower;
@@ -30,7 +30,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
         Instances::Masks(folder) => Some(fingerprint::of_content(folder)?),
         Instances::None | Instances::Model(_) | Instances::Vehicles => None,
     };
-    // A log may have positions of unordered photographs by name; those inside of them are part of the input.
+    // A log may have positions of unordered photographs by name; those in the photographs are part of the input.
     let positions = if order::found(run)?.in_time { Vec::new() } else { telemetry::fingerprints(run) };
     Ok(json!({
         "cameras": cameras,
@@ -66,7 +66,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     })?;
     if let Some(background) = background {
         if frames.is_empty() {
-            // No result, which later runs would take over: memory may have been short.
+            // Not stored as a result that later runs would reuse: the cause may be a lack of memory.
             return Err(VideoError::NoFrames { path: run.input().to_owned() }.into());
         }
         let table = background.front_end.finish(run.options.seed)?;
@@ -74,13 +74,13 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
         intermediate::write(&tracks_of(&folder, BACKGROUND), &table)?;
     }
     if let Some(points) = points {
-        intermediate::write(&point_tracks::path_in(&folder), &Followed { frames, tracks: points.finish() })?;
+        intermediate::write(&point_tracks::path_in(&folder), &TrackedPoints { frames, tracks: points.finish() })?;
     }
     outcome.outputs.push(folder);
     Ok(())
 }
 
-/// The front end of the background, and the masks outside of which it follows points.
+/// The front end of the background, and the masks to which it restricts points.
 struct Background {
     front_end: FrontEnd,
     camera_of: BTreeMap<FrameId, usize>,

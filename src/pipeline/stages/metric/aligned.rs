@@ -1,4 +1,4 @@
-//! The camera's path on the fixes of the telemetry.
+//! Alignment of the camera trajectory with the fixes of the telemetry.
 
 use super::super::background;
 use super::sources::{Ground, MAX_TILT};
@@ -12,17 +12,17 @@ use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{Frame, Reconstruction, Topic, Warning};
 use crate::telemetry::LocalFrame;
 
-/// A path on its fixes, with the map under it.
+/// An aligned camera trajectory, with the map frame.
 pub(super) struct Aligned {
     pub(super) alignment: Alignment,
     pub(super) map: LocalFrame,
-    /// Meters per unit by it, if it has any.
+    /// Meters per unit by the alignment, if it determines the scale.
     pub(super) source: Option<Source>,
     /// The log's clock minus the video's time; `None` without a log.
     pub(super) clock_offset_s: Option<f64>,
 }
 
-/// Lays the path onto the fixes; why that cannot be is reported.
+/// Aligns the camera trajectory with the fixes; a failure is reported.
 pub(super) fn align(
     run: &Run,
     background: &Reconstruction,
@@ -65,11 +65,10 @@ fn try_align(
     Ok(Aligned { alignment, map, source: Some(source), clock_offset_s: Some(clock_offset_s) })
 }
 
-/// A camera that does not translate, by points of a map or by a log; and the height above take-off as that above
-/// ground.
+/// A camera that does not translate, by map points or by a log; with the height above take-off as that above ground.
 ///
 /// # Errors
-/// Points of a map that place no camera.
+/// Map points from which no camera pose follows.
 pub(super) fn hovering(
     run: &Run,
     background: &Reconstruction,

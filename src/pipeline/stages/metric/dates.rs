@@ -10,13 +10,13 @@ use crate::pipeline::driver::run::Run;
 use crate::pipeline::inputs::telemetry::Telemetry;
 use crate::scene::{ClockZone, Dates};
 use crate::telemetry::{self, ClockKind, Fix, Log};
-use crate::video::{self, Kind, Taken};
+use crate::video::{self, CaptureTime, Kind};
 
-/// The sixth of January 1980, where the time of satellites begins: no receiver states an earlier one, so that a smaller
-/// time counts from the video's start.
+/// 6 January 1980, the epoch of satellite time: no receiver states an earlier one, so a smaller time is relative to the
+/// video's start.
 const EARLIEST_S: f64 = 315_964_800.0;
 
-/// Dates of the run; `None` where nothing states any.
+/// Dates of the run; `None` if no input states any.
 pub(super) fn find(run: &Run, telemetry: Option<&Telemetry>, aligned: Option<&Aligned>) -> Option<Dates> {
     let utc_offset = run.options.metric.utc_offset;
     if run.info().kind == Kind::Folder
@@ -30,7 +30,7 @@ pub(super) fn find(run: &Run, telemetry: Option<&Telemetry>, aligned: Option<&Al
 
 /// Dates by the clock of a log.
 ///
-/// * `fitted_s` – the log's time minus the video's, seconds; `None` where the log does not fit the video.
+/// * `fitted_s` – the log's time minus the video's, seconds; `None` if the log does not fit the video.
 pub fn of_log(log: &Log, fitted_s: Option<f64>, options: &MetricOptions) -> Option<Dates> {
     let zone = match log.clock {
         ClockKind::Utc => ClockZone::Utc,
@@ -54,25 +54,24 @@ fn dated(start_s: f64, zone: ClockZone) -> Dates {
     Dates { start_s: Some(start_s), zone, images: BTreeMap::new() }
 }
 
-/// Time of the clock minus time in the video of a log that states both for its fixes: the median, for the steps of
-/// either differ.
+/// Clock time minus video time in a log that states both for its fixes: the median, since their steps differ.
 fn clock_from_log_s(fixes: &[Fix]) -> Option<f64> {
     let by_video = fixes.iter().all(|fix| fix.video_s.is_some());
     median(fixes.iter().filter_map(|fix| Some(fix.clock_s? - fix.video_s?)).collect()).filter(|_| by_video)
 }
 
-/// `None` where no photograph states a date.
+/// Dates of photographs; `None` if none states a date.
 fn of_photographs(run: &Run, utc_offset: Option<UtcOffset>) -> Option<Dates> {
     let frames = run.frames().ok()?;
-    let taken = |name: &str| Some((name.to_owned(), video::taken(&run.input().join(name))?));
-    let taken: Vec<(String, Taken)> = frames.iter().filter_map(|frame| taken(&frame.name)).collect();
+    let taken = |name: &str| Some((name.to_owned(), video::capture_time(&run.input().join(name))?));
+    let taken: Vec<(String, CaptureTime)> = frames.iter().filter_map(|frame| taken(&frame.name)).collect();
     let images: BTreeMap<String, String> =
         taken.into_iter().map(|(name, taken)| (name, spelled(&taken, utc_offset))).collect();
     (!images.is_empty()).then_some(Dates { start_s: None, zone: ClockZone::PerImage, images })
 }
 
-/// ISO 8601: with `Z` where the zone is known, else local time without one.
-fn spelled(taken: &Taken, utc_offset: Option<UtcOffset>) -> String {
+/// Date in ISO 8601: with `Z` if the time zone is known, else local time without a zone.
+fn spelled(taken: &CaptureTime, utc_offset: Option<UtcOffset>) -> String {
     let stated = taken.utc_offset.as_deref().and_then(|text| text.parse::<UtcOffset>().ok());
     let offset = stated.or(utc_offset);
     let Some(offset) = offset else { return taken.local.clone() };
@@ -84,8 +83,8 @@ fn spelled(taken: &Taken, utc_offset: Option<UtcOffset>) -> String {
 mod tests {
     use super::*;
 
-    fn taken(utc_offset: Option<&str>) -> Taken {
-        Taken { local: "2014-05-01T10:00:00.25".into(), utc_offset: utc_offset.map(str::to_owned) }
+    fn taken(utc_offset: Option<&str>) -> CaptureTime {
+        CaptureTime { local: "2014-05-01T10:00:00.25".into(), utc_offset: utc_offset.map(str::to_owned) }
     }
 
     #[test]

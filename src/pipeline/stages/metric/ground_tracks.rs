@@ -17,16 +17,16 @@ use crate::scene::{
 };
 use crate::trajectory::{BodyOnGround, CommonStd, PositionError, PositionMeasurement, Smoothed, smooth};
 
-/// Standard deviation of the distance, and of the displacement, up to which a track is usable, as a share: that of a
-/// scale ratio beyond which a trajectory is doubtful.
+/// Maximum relative standard deviation of distance and displacement of a usable track: that of a scale ratio beyond
+/// which a trajectory is doubtful.
 const USABLE: f64 = 0.1;
-/// Deviation from the smooth path, in standard deviations of the positions, that a tenth of them may exceed: a
+/// Maximum 0.9 quantile of the residuals to the smoothed trajectory, in standard deviations of the positions: a
 /// twentieth of normal ones is beyond two.
 const CONSISTENT: f64 = 3.0;
-/// The same of normal errors, beyond which their standard deviations are taken to be too small by as much.
+/// The 0.9 quantile of normal residuals; where it is exceeded, the standard deviations are enlarged by the ratio.
 const NORMAL: f64 = 1.64;
-/// Mean score of the detector from which an inconsistent track may be a vehicle: the one from which its word holds
-/// however seldom it comes. A sign over the road is no vehicle, and moves over the ground as the camera does.
+/// Minimum mean detector score of a vehicle with an inconsistent track: the one from which detections count however
+/// rare they are. A sign over the road is no vehicle, and moves over the ground as the camera does.
 const SURE: f64 = 0.5;
 /// Range of the larger apparent side of a vehicle, meters: from the height of a motorcycle from behind to the length of
 /// a truck with its trailer.
@@ -34,10 +34,11 @@ const LARGER_M: [f64; 2] = [1.0, 25.0];
 /// Maximum of the smaller apparent side of a vehicle, meters: the height of a truck. From above, the limit is that of a
 /// truck diagonal in the image.
 const SMALLER_M: f64 = 5.0;
-/// Standard deviations by which a size must be outside.
+/// Standard deviations by which a size must be out of range.
 const OUTSIDE: f64 = 2.0;
 
-/// Fills in what follows from the frame. Tracks of things that are no vehicles by their size are dropped.
+/// Computes the values that depend on the metric frame. Tracks of objects that are no vehicles by their size are
+/// dropped.
 pub(super) fn fill(
     placing: &Placing,
     tracks: Vec<GroundTrack>,
@@ -73,14 +74,14 @@ fn impossible_size([width, height]: &[Estimate; 2], dip_sine: f64) -> Option<Str
     is_odd.then(|| format!("apparent size {:.1} × {:.1} m", width.value, height.value))
 }
 
-/// Problem of a track that neither its path nor its detections support.
+/// Problem of a track that neither its trajectory nor its detections support.
 fn off_the_ground(track: &GroundTrack) -> Option<String> {
     let verdict = track.verdict.as_ref().filter(|verdict| verdict.state == GroundTrackTrust::Inconsistent)?;
     (track.confidence < SURE).then(|| format!("{}, and the detector score is {:.2}", verdict.says, track.confidence))
 }
 
 impl Placing<'_> {
-    /// Fills in what follows from the frame, and enlarges the errors where the positions contradict them.
+    /// Computes the values that depend on the metric frame, and enlarges the errors if the residuals contradict them.
     fn fill_ground(&self, track: &mut GroundTrack, body: BodyOnGround) {
         let common = CommonStd { ratio: 0.0, scale: self.frame.log_scale_std() };
         let measured = self.contacts(track);
@@ -100,7 +101,7 @@ impl Placing<'_> {
         let measured = self.contacts(track);
         let found = smooth(&measured, &common, Movement::Undetermined);
         let verdict = verdict(distance_std, displacement_by_focal(track), worst);
-        // Where positions jump, the mask is not that of one vehicle.
+        // If positions jump, the mask is not that of one vehicle.
         if !self.is_nominal && verdict.state != GroundTrackTrust::Inconsistent {
             let size = in_metres(&size_of_body(&body, distance_std), self.frame);
             track.dimensions = Some(size).filter(|size| *size != Dimensions::default());
@@ -121,7 +122,7 @@ impl Placing<'_> {
         Estimate { value: axis.x.atan2(axis.y).to_degrees().rem_euclid(180.0), std: std.to_degrees() }
     }
 
-    /// Sine of the angle of the lines of sight below the horizon, median.
+    /// Median sine of the angle of the lines of sight below the horizon.
     fn dip_sine(&self, track: &GroundTrack) -> f64 {
         let up = self.frame.metric_from_world().rotation.inverse() * Vector3::z();
         let of = |position: &GroundPosition| {
@@ -160,21 +161,21 @@ impl Placing<'_> {
     }
 }
 
-/// Deviation of the positions from the smooth path, in their standard deviations, that a tenth of them exceeds.
+/// 0.9 quantile of the residuals to the smoothed trajectory, in standard deviations of the positions.
 fn worst_deviation(measured: &[PositionMeasurement], found: &Smoothed) -> f64 {
-    let off = |(seen, motion): (&PositionMeasurement, &Motion)| {
+    let normalized = |(seen, motion): (&PositionMeasurement, &Motion)| {
         let PositionError::Contact(error) = seen.error else { return 0.0 };
         let residual = seen.position_m - Vector3::from(motion.smoothed_position_m);
         let along = residual.try_normalize(0.0).unwrap_or_default();
         let std = along.dot(&(error.frame_covariance() * along)).max(0.0).sqrt();
         if std > 0.0 { residual.norm() / std } else { 0.0 }
     };
-    let mut all: Vec<f64> = measured.iter().zip(&found.motions).map(off).collect();
+    let mut all: Vec<f64> = measured.iter().zip(&found.motions).map(normalized).collect();
     quantile(&mut all, 0.9).unwrap_or_default()
 }
 
-/// Standard deviation of the displacement by that of the focal length, as a share of it: straight below a camera,
-/// distances do not depend on it, and displacements do. `None` of a vehicle that moves by less than its size.
+/// Relative standard deviation of the displacement due to that of the focal length: straight below a camera, distances
+/// do not depend on it, and displacements do. `None` for a vehicle that moves by less than its size.
 fn displacement_by_focal(track: &GroundTrack) -> Option<f64> {
     let (first, last) = (track.positions.first()?, track.positions.last()?);
     let between = |first: [f64; 3], last: [f64; 3]| (Vector3::from(last) - Vector3::from(first)).norm();
@@ -183,8 +184,8 @@ fn displacement_by_focal(track: &GroundTrack) -> Option<f64> {
     (displacement > width.max(height)).then(|| between(first.error.focal, last.error.focal) / displacement)
 }
 
-/// The verdict on a track, by its distances, its displacement and the deviation from its smooth path; `None` without
-/// such a path.
+/// The verdict on a track, by its distances, its displacement and the residuals to its smoothed trajectory; `None`
+/// without a smoothed trajectory.
 fn verdict(distance_std: f64, displacement_std: Option<f64>, worst: Option<f64>) -> GroundTrackVerdict {
     let (state, says) = match worst {
         None => (GroundTrackTrust::Inconsistent, "too few positions for a smooth path".to_owned()),

@@ -1,8 +1,8 @@
 //! Stage `metric`: metres per unit from all sources, and the trajectories in metres and on the map.
 //!
-//! The stage `scale` leaves the trajectories in units of the background; this one writes `trajectories.json` whole,
-//! with the same trajectories and their metres next to them. Where nothing gives metres it says why, and everything
-//! else stays as it was.
+//! The stage `scale` stores the trajectories in units of the background. This stage rewrites `trajectories.json` with
+//! the same trajectories and their metric values. Without a source of metres it reports the reason, and all other
+//! values are unchanged.
 
 mod aligned;
 mod dates;
@@ -34,7 +34,7 @@ use placed::Placing;
 use sources::Ground;
 pub(in crate::pipeline) use vehicles::Size;
 
-/// Inputs of this stage alone: the options of meters, and the content of telemetry files.
+/// Inputs of this stage alone: the metric options, and the content of telemetry files.
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     let MetricOptions { telemetry, time_offset, utc_offset, camera_height, map_points, scale, known_lengths, .. } =
         &run.options.metric;
@@ -50,10 +50,10 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-/// Reads the telemetry that is named, so that what is wrong with it is reported before any work.
+/// Reads the given telemetry, to report errors in it before any work.
 ///
 /// # Errors
-/// [`TelemetryError`](crate::telemetry::TelemetryError) names the file and the cure.
+/// [`TelemetryError`](crate::telemetry::TelemetryError) names the file and the remedy.
 pub(in crate::pipeline) fn check(options: &Options) -> Result<()> {
     hovering::check_map_points(&options.metric)?;
     match &options.metric.telemetry {
@@ -95,7 +95,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     }
     outcome.figure("num_ground_tracks", ground_tracks.len());
     let all = Trajectories { unit, metric: Some(found), objects, ground_tracks };
-    // What was exported has the metres of before.
+    // Earlier exports contain the previous metric values.
     run.workspace.remove(&run.workspace.exports())?;
     let path = run.workspace.trajectories();
     run.workspace.put_file(&path, |fresh| crate::io::trajectories::write(fresh, &all))?;
@@ -103,7 +103,7 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// Metres, and the logarithm of meters per unit without typical vehicle sizes with its standard deviation.
+/// Metric result, and the logarithm of meters per unit without typical vehicle sizes with its standard deviation.
 type MetricResult = (Metric, Option<(f64, f64)>);
 
 fn unknown(reason: &str, dates: Option<Dates>) -> MetricResult {
@@ -141,13 +141,13 @@ fn find(
     let of_all = vehicles::sizes_of_all(trajectories, sizes, bodies, background);
     sources.extend(vehicles::known(run, &of_all, outcome));
     let known = fuse(&sources).map(|fused| (fused.scale.ln(), fused.std / fused.scale));
-    // Where the camera translates, vehicles without a usable trajectory are far, hidden or in part outside the image.
-    let alike = match background.points.is_empty() {
-        true => vehicles::alike_on_ground(&trajectories.ground_tracks, bodies, background),
-        false => vehicles::alike(trajectories, sizes),
+    // If the camera translates, vehicles without a usable trajectory are far, occluded or truncated.
+    let typical_sizes = match background.points.is_empty() {
+        true => vehicles::typical_sizes_on_ground(&trajectories.ground_tracks, bodies, background),
+        false => vehicles::typical_sizes(trajectories, sizes),
     };
-    alike.warn(outcome);
-    sources.extend(vehicles::source_of(&alike));
+    typical_sizes.warn(outcome);
+    sources.extend(vehicles::source_of(&typical_sizes));
     let Some(fused) = fuse(&sources) else {
         let reason = "no source of scale: no matching telemetry, no known length, no vehicle of a class with known \
                       sizes; give --telemetry FILE, --camera-height METERS, --known-length ID:length=METERS or --scale \
@@ -165,7 +165,7 @@ fn find(
         reason: Some(sentence(&fused, &frame)),
         frame: Some(frame),
         shares: fused.shares,
-        contradictions: fused.contradictions.into_iter().chain(alike.contradictions()).collect(),
+        contradictions: fused.contradictions.into_iter().chain(typical_sizes.contradictions()).collect(),
         time_offset_s,
         time_offset_std_s: time_offset_s.and(aligned.as_ref()).map(|aligned| aligned.alignment.offset_std_s),
         dates,
@@ -173,12 +173,12 @@ fn find(
     Ok((metric, known))
 }
 
-/// Distance from camera to vehicle that represents the median of a result without metres: between a dashcam's 10 m and
-/// a drone's 50 m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades
-/// over which the smoother searches.
+/// Assumed median distance from camera to vehicle of a result without metres: between a dashcam's 10 m and a drone's 50
+/// m. Lengths in units hardly depend on it: it sets how sharply a vehicle may turn, within the decades over which the
+/// smoother searches.
 const NOMINAL_DISTANCE_M: f64 = 20.0;
 
-/// A frame of nominal scale, in which trajectories are smoothed where metres are unknown.
+/// A frame of nominal scale, in which trajectories are smoothed if metres are unknown.
 fn nominal_frame(
     ground: &Ground,
     background: &Reconstruction,
@@ -198,7 +198,7 @@ fn nominal_frame(
     frame_on_ground(&Fused::of_scale(scale, 0.0), &ground.level(background))
 }
 
-/// On what the metres rest, and how well they are known.
+/// The sources of the metric scale, and its uncertainty.
 fn sentence(fused: &Fused, frame: &MetricFrame) -> String {
     let basis = match (fused.verdict, &fused.shares[..]) {
         (MetricVerdict::PriorOnly, [_]) => "scale from typical vehicle sizes only (no measurement given)".to_owned(),

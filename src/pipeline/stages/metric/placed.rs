@@ -13,24 +13,24 @@ use crate::scene::{
 use crate::telemetry::{Geodetic, LocalFrame};
 use crate::trajectory::{CommonStd, PositionError, PositionMeasurement, Smoothed, headings, smooth};
 
-/// All that places objects in metres.
+/// Inputs of the metric poses of objects.
 pub(super) struct Placing<'a> {
     pub(super) frame: &'a MetricFrame,
-    /// True if the frame's scale is a nominal one: then nothing is stated in metres.
+    /// True if the frame's scale is nominal: then no metric values are reported.
     pub(super) is_nominal: bool,
     pub(super) map: Option<LocalFrame>,
     pub(super) images: BTreeMap<&'a str, &'a Image>,
-    /// Standard deviation of the direction to an object's middle, radians: a pixel.
+    /// Standard deviation of the direction to an object's center, radians: a pixel.
     direction_std: f64,
     poses: &'a PoseCovariances,
-    /// Unit of the frames' times: only with seconds are there speeds.
+    /// Unit of the frames' times: speeds require seconds.
     pub(super) times: TimeBase,
-    /// Motion states of the objects, where they are known.
+    /// Motion states of the objects, if known.
     movements: BTreeMap<ObjectId, Movement>,
 }
 
-/// Time from frame to frame where none is known, seconds: image sequences of traffic have 10 to 30 frames a second. It
-/// sets only how sharply a vehicle may turn from frame to frame, within the decades over which the smoother searches.
+/// Assumed time between frames if unknown, seconds: image sequences of traffic have 10 to 30 frames per second. It only
+/// sets how sharply a vehicle may turn between frames, within the decades over which the smoother searches.
 const NOMINAL_STEP_S: f64 = 0.1;
 
 impl<'a> Placing<'a> {
@@ -48,7 +48,7 @@ impl<'a> Placing<'a> {
         Self { frame, is_nominal, map, images, direction_std: 1.0 / focal, poses, times, movements }
     }
 
-    /// Fills in the travel, and all metric values where metres are known.
+    /// Computes the travel, and all metric values if metres are known.
     pub(super) fn fill(&self, trajectory: &mut ObjectTrajectory) {
         let log_ratio_std = trajectory.log_ratio_std();
         for pose in trajectory.poses.iter_mut().filter(|_| !self.is_nominal) {
@@ -60,7 +60,7 @@ impl<'a> Placing<'a> {
         if self.times == TimeBase::Seconds {
             let placed = trajectory.poses.iter_mut().filter(|pose| pose.metric.is_some());
             for (pose, mut motion) in placed.zip(found.motions) {
-                // The error of the center is the same in all frames: smoothing leaves it as it is.
+                // The error of the center is the same in all frames: smoothing does not reduce it.
                 let of_body = in_metres(self.frame, &body_covariance(trajectory.body_center, pose));
                 for (k, std) in motion.smoothed_position_std_m.iter_mut().enumerate() {
                     *std = std.hypot(of_body[(k, k)].max(0.0).sqrt());
@@ -76,7 +76,7 @@ impl<'a> Placing<'a> {
         smooth(&self.sightings(trajectory), &common, movement)
     }
 
-    /// * `seconds` – from the first frame to the last.
+    /// * `seconds` – time from the first frame to the last.
     pub(super) fn travel(&self, seconds: f64, found: &Smoothed) -> Travel {
         let MetricFrame { scale, .. } = *self.frame;
         let in_units = |metres: Estimate| {
@@ -101,7 +101,7 @@ impl<'a> Placing<'a> {
         if self.times == TimeBase::Seconds { 1.0 } else { NOMINAL_STEP_S }
     }
 
-    /// Where the object is in metres, in the frames in which that is known.
+    /// Position measurements of the object in metres, in the frames with a known position.
     fn sightings(&self, trajectory: &ObjectTrajectory) -> Vec<PositionMeasurement> {
         let metric_from_world = self.frame.metric_from_world();
         let headings = headings(trajectory);
@@ -133,7 +133,7 @@ impl<'a> Placing<'a> {
     }
 }
 
-/// Position in meters, and on the map where there is one; `None` for lengths that are not finite.
+/// Position in meters, and on the map if there is one; `None` for lengths that are not finite.
 pub(super) fn metric_of(frame: &MetricFrame, map: Option<&LocalFrame>, observed: &ObservedPoint) -> Option<MetricPose> {
     let found = metric_pose(frame, observed);
     let is_finite = found.position_m.iter().chain(&found.position_std_m).all(|value| value.is_finite());

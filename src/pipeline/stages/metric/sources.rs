@@ -1,4 +1,4 @@
-//! Measured or given lengths, divided by the same in units of the background.
+//! Measured or given lengths, divided by the same lengths in units of the background.
 
 use nalgebra::Vector3;
 
@@ -10,19 +10,20 @@ use crate::pipeline::Result;
 use crate::pipeline::driver::run::{Outcome, Run};
 use crate::scene::{Reconstruction, Topic};
 
-/// The ground of the background, as far as metres need it.
+/// The ground of the background, for sources of metres.
 pub(super) struct Ground {
     /// Up by the ground's normal or a sensor, and its standard deviation as the vertical, radians.
     pub(super) normal: Option<(Vector3<f64>, f64)>,
     below: Result<CameraHeight, HeightFailure>,
-    /// Height over the road of a camera fixed to a vehicle.
+    /// Height above the road of a camera fixed to a vehicle.
     mount: Option<Measured>,
-    /// Standard deviation of the focal length, as a share of it. One that is too long makes everything across the
-    /// direction of motion too small against the way along it, the height of the camera by the same share.
+    /// Relative standard deviation of the focal length. If it is too long, all lengths across the direction of motion
+    /// are too small relative to those along it; the height of the camera by the same share.
     focal_std: f64,
 }
 
-/// Verticals further from the ground's normal are those of another camera, or of a turned one, radians.
+/// Maximum angle between a sensor's vertical and the ground's normal, radians: beyond it, the vertical is that of
+/// another or a rotated camera.
 pub(super) const MAX_TILT: f64 = 0.35;
 
 impl Ground {
@@ -42,7 +43,7 @@ impl Ground {
         Ok(Self { normal, below, mount, focal_std })
     }
 
-    /// Takes the vertical of a sensor instead of the ground's normal, unless the two contradict each other.
+    /// Uses the vertical of a sensor instead of the ground's normal, unless the two contradict each other.
     pub(super) fn take_vertical(&mut self, vertical: Option<(Vector3<f64>, f64)>, outcome: &mut Outcome) {
         let Some((up_in_world, std)) = vertical else { return };
         if self.normal.is_some_and(|(normal, _)| normal.angle(&up_in_world) > MAX_TILT) {
@@ -63,12 +64,12 @@ impl Ground {
         Ok(Measured { std: height.std.hypot(self.focal_std * height.value), ..height })
     }
 
-    /// Climb of the camera, as a share of its height.
+    /// Change of the camera's height, as a share of the height.
     fn spread(&self) -> f64 {
         self.below.as_ref().map_or(0.0, |found| found.spread)
     }
 
-    /// The vertical and an origin where there is no map.
+    /// The vertical, and an origin for results without a map.
     pub(super) fn level(&self, background: &Reconstruction) -> Level {
         Level::of_background(background, self.normal, self.below.as_ref().ok().map(|found| found.foot_in_world))
     }
@@ -85,7 +86,7 @@ fn source(name: &str, (log_scale, std): (f64, f64)) -> Source {
     Source { name: name.to_owned(), kind: Kind::Surveyed, log_scale, std }
 }
 
-/// Above this a camera climbs so much that one height is hardly what somebody measured, as a share.
+/// Change of the camera's height, as a share of it, above which a single measured height hardly applies.
 const MAX_SPREAD: f64 = 0.15;
 
 fn of_height(given: Measured, ground: &Ground, outcome: &mut Outcome) -> Option<Source> {

@@ -1,4 +1,4 @@
-//! Metres from the vehicles' sizes, and their sizes in metres.
+//! Metres by the vehicles' sizes, and their sizes in metres.
 
 use std::collections::BTreeMap;
 
@@ -22,13 +22,13 @@ pub(in crate::pipeline) type Size = [Option<Estimate>; 3];
 
 /// Size of a vehicle on the ground.
 ///
-/// * `distance_std` – standard deviation of its distance to the camera as a share of it.
+/// * `distance_std` – relative standard deviation of its distance to the camera.
 pub(super) fn size_of_body(body: &BodyOnGround, distance_std: f64) -> Size {
     let with_distance = |found: Estimate| Estimate { std: found.std.hypot(distance_std * found.value), ..found };
     [body.length, body.width, body.height].map(|found| found.map(with_distance))
 }
 
-/// A size in metres, with the deviation of the scale.
+/// A size in metres, with the uncertainty of the scale.
 pub(super) fn in_metres(size: &Size, frame: &MetricFrame) -> Dimensions {
     let metres = |units: Estimate| {
         let value = frame.scale * units.value;
@@ -58,29 +58,29 @@ fn of_length(known: &KnownLength, sizes: &BTreeMap<ObjectId, Size>) -> Result<So
     Ok(Source { name: format!("{name} of vehicle {object}"), kind: Kind::Surveyed, log_scale, std })
 }
 
-/// Asks the vehicles that can be trusted; only where these say nothing, the doubtful ones.
-pub(super) fn alike(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> VehicleSizes {
+/// Meters by the vehicles with trusted trajectories; if they determine no scale, by the doubtful ones.
+pub(super) fn typical_sizes(trajectories: &Trajectories, sizes: &BTreeMap<ObjectId, Size>) -> VehicleSizes {
     let (doubtful, trusted): (Vec<&ObjectTrajectory>, Vec<_>) =
         trajectories.objects.iter().filter(|trajectory| !trajectory.is_ruled_out()).partition(|t| is_doubtful(t));
-    let asked = |vehicles: Vec<&ObjectTrajectory>| {
+    let sizes_of = |vehicles: Vec<&ObjectTrajectory>| {
         let extents: Vec<Extent> = vehicles.into_iter().flat_map(|trajectory| extents(trajectory, sizes)).collect();
         vehicle_sizes(&extents)
     };
-    let trusted = asked(trusted);
+    let trusted = sizes_of(trusted);
     if trusted.log_scale.is_some() {
         return trusted;
     }
-    let doubtful = asked(doubtful);
+    let doubtful = sizes_of(doubtful);
     VehicleSizes { odd: [trusted.odd, doubtful.odd].concat(), ..doubtful }
 }
 
-/// Meters by typical vehicle sizes as one source; `None` where no vehicle is of a class whose members are alike.
+/// Meters by typical vehicle sizes as one source; `None` if no vehicle is of a class of uniform size.
 pub(super) fn source_of(sizes: &VehicleSizes) -> Option<Source> {
     let (log_scale, std) = sizes.log_scale?;
     Some(Source { name: "typical vehicle sizes".to_owned(), kind: Kind::Prior, log_scale, std })
 }
 
-/// Sizes of all vehicles that have one: by trajectories that can be used, by outlines on the ground, by other
+/// Sizes of all vehicles that have one: by usable trajectories, else by outlines on the ground, else by other
 /// trajectories.
 pub(super) fn sizes_of_all(
     trajectories: &Trajectories,
@@ -97,8 +97,8 @@ pub(super) fn sizes_of_all(
     sizes.iter().map(|(id, size)| (*id, *size)).chain(on_ground).chain(usable).collect()
 }
 
-/// Asks the vehicles that are followed on the ground.
-pub(super) fn alike_on_ground(
+/// Meters by the vehicles with a ground track.
+pub(super) fn typical_sizes_on_ground(
     tracks: &[GroundTrack],
     bodies: &BTreeMap<ObjectId, BodyOnGround>,
     background: &Reconstruction,
@@ -119,8 +119,8 @@ pub(super) fn alike_on_ground(
     VehicleSizes { log_scale, ..found }
 }
 
-/// Standard deviation of the distances of a vehicle that all vehicles have in common, as a share of them: those of the
-/// plane and of the focal length.
+/// Relative standard deviation of a vehicle's distances that is common to all vehicles: that of the plane and of the
+/// focal length.
 fn common_distance_std(track: &GroundTrack, background: &Reconstruction) -> Option<f64> {
     let share = |at: &GroundPosition| {
         let sight =
@@ -131,14 +131,14 @@ fn common_distance_std(track: &GroundTrack, background: &Reconstruction) -> Opti
     median(track.positions.iter().filter_map(share).collect())
 }
 
-/// Dimensions of a vehicle on the ground; none where its class has no usual ones.
+/// Dimensions of a vehicle on the ground; none if its class has no typical ones.
 ///
-/// * `ratio_std` – common standard deviation of the dimensions, as a share of them.
+/// * `ratio_std` – common relative standard deviation of the dimensions.
 fn extents_on_ground(track: &GroundTrack, body: &BodyOnGround, ratio_std: f64) -> Vec<Extent> {
     extents_of(track.id, &track.class, &size_of_body(body, 0.0), ratio_std, false)
 }
 
-/// Calls every bus or truck on the ground that has the size of a car a car, and its trajectory, too.
+/// Reclassifies every bus or truck on the ground with the size of a car as a car, and its trajectory, too.
 ///
 /// * `known` – as for [`doubt_sizes`].
 pub(super) fn correct_classes_on_ground(
@@ -171,7 +171,7 @@ fn is_guessed(scale: &ScaleEstimate) -> bool {
 }
 
 impl VehicleSizes {
-    /// Says which vehicles are odd.
+    /// Reports the vehicles of inconsistent size.
     pub(super) fn warn(&self, outcome: &mut Outcome) {
         for OddVehicle { vehicle, oddity, deviations } in &self.odd {
             let text = match oddity {
@@ -188,7 +188,7 @@ impl VehicleSizes {
         }
     }
 
-    /// The vehicles that contradict the others, as the result has contradictions.
+    /// The vehicles that contradict the others, in the format of the result.
     pub(super) fn contradictions(&self) -> impl Iterator<Item = MetricContradiction> {
         self.odd.iter().filter_map(|&OddVehicle { vehicle, oddity, deviations }| match oddity {
             Oddity::Shape => None,
@@ -199,7 +199,7 @@ impl VehicleSizes {
     }
 }
 
-/// Calls every bus or truck that has the size of a car a car: from above, detectors take one for the other.
+/// Reclassifies every bus or truck with the size of a car as a car: from above, detectors confuse them.
 ///
 /// * `known` – as for [`doubt_sizes`].
 pub(super) fn correct_classes(
@@ -217,8 +217,8 @@ pub(super) fn correct_classes(
     }
 }
 
-/// Adds a doubt to the verdict on every vehicle whose proportions are those of no vehicle of its class, or whose size
-/// contradicts meters from other sources.
+/// Adds a doubt to the verdict on every vehicle whose proportions do not fit its class, or whose size contradicts
+/// meters from other sources.
 ///
 /// * `known` – logarithm of meters per unit without typical vehicle sizes, and its standard deviation.
 pub(super) fn doubt_sizes(
@@ -260,7 +260,7 @@ fn extents(trajectory: &ObjectTrajectory, sizes: &BTreeMap<ObjectId, Size>) -> V
     let ratio_std = trajectory.scale.std.unwrap_or(0.0) / trajectory.scale.ratio;
     let is_unconfirmed = is_doubtful(trajectory) || is_guessed(&trajectory.scale);
     let alone = |Estimate { value, std }: Estimate| {
-        // The deviation of a size has that of the ratio in it. No size is known better than to a thousandth.
+        // The uncertainty of a size includes that of the ratio. No size is known better than to a thousandth.
         let std = (std * std - (ratio_std * value).powi(2)).max(0.0).sqrt().max(1e-3 * value);
         Estimate { value, std }
     };
@@ -296,13 +296,13 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_seen_is_said() {
+    fn unmeasured_dimensions_are_reported() {
         let of = |text: &str| of_length(&text.parse().unwrap(), &sizes()).unwrap_err();
         assert!(of("3:width=1.8").contains("vehicle 3: width not measured"));
         assert!(of("4:length=4.4").contains("vehicle 4: no trajectory"));
     }
 
-    /// A car 4.3 units long that can be trusted so far, with its size.
+    /// A trusted car, 4.3 units long, with its size.
     fn car(id: u32, factor: f64, state: Trust) -> (ObjectTrajectory, (ObjectId, Size)) {
         let scale = ScaleEstimate::new(1.0, ScaleMethod::Joint);
         let mut trajectory = ObjectTrajectory::new(ObjectId(id), "car", 1.0, scale);
@@ -322,7 +322,7 @@ mod tests {
             let [trajectory] = objects;
             trajectory.verdict.map(|verdict| verdict.state)
         };
-        // Metres per unit are 1: by typical sizes themselves no size is wrong, only proportions.
+        // One metre per unit: by typical sizes themselves no size is wrong, only proportions.
         assert_eq!(state([1.0; 3], Some((0.0, 0.02))), Some(Trust::Good));
         assert_eq!(state([0.5; 3], None), Some(Trust::Good));
         assert_eq!(state([0.5; 3], Some((0.0, 0.02))), Some(Trust::Doubtful));
@@ -355,7 +355,7 @@ mod tests {
             trajectory.scale.std = trajectory.scale.shares.map(|shares| shares.total());
             let objects = vec![trajectory];
             let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks: Vec::new() };
-            source_of(&alike(&all, &[(id, size)].into())).unwrap().std
+            source_of(&typical_sizes(&all, &[(id, size)].into())).unwrap().std
         };
         assert!(std(5, 0.06) < 0.1 && std(0, 0.01) < 0.1, "{} {}", std(5, 0.06), std(0, 0.01));
         assert!(std(0, 0.06) > 0.25, "{}", std(0, 0.06));
@@ -387,9 +387,9 @@ mod tests {
         let bodies: BTreeMap<_, _> = [1, 2].map(|id| (ObjectId(id), body(2.0))).into();
         let found = |class: &str, common| {
             let tracks = [1, 2].map(|id| track(id, class, common));
-            alike_on_ground(&tracks, &bodies, &background)
+            typical_sizes_on_ground(&tracks, &bodies, &background)
         };
-        // Two metres are a unit; from above a detector takes a car for a bus.
+        // One unit is two metres; from above a detector takes a car for a bus.
         for class in ["car", "bus"] {
             let source = source_of(&found(class, 0.0)).unwrap();
             assert!((source.log_scale.exp() - 0.5).abs() < 0.05 && source.std > 0.05, "{class}: {source:?}");
@@ -415,11 +415,11 @@ mod tests {
     }
 
     #[test]
-    fn doubtful_vehicles_are_asked_last() {
+    fn doubtful_vehicles_are_used_last() {
         let segment = |cars: Vec<(ObjectTrajectory, (ObjectId, Size))>| {
             let (objects, sizes): (Vec<_>, Vec<_>) = cars.into_iter().unzip();
             let all = Trajectories { unit: Unit::Background, metric: None, objects, ground_tracks: Vec::new() };
-            source_of(&alike(&all, &sizes.into_iter().collect()))
+            source_of(&typical_sizes(&all, &sizes.into_iter().collect()))
         };
         let (good, doubtful) = (|| car(1, 1.0, Trust::Fair), || car(2, 1.5, Trust::Doubtful));
         assert_eq!(segment(vec![good(), doubtful()]), segment(vec![good()]));

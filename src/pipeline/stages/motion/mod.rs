@@ -1,9 +1,9 @@
-//! Stage `motion`: what moves against the background.
+//! Stage `motion`: detection of motion relative to the background.
 //!
-//! Points are followed all over the picture and held against the background's cameras and the ground. Following needs
-//! pictures alone, so that the stage `features` does it where it goes through them all
-//! ([`point_tracks`]). What this stage leaves are boxes of what moves, frame by frame, and what is known
-//! of each point: the next stage asks whether the objects moved whose masks it has.
+//! Points are tracked all over the image and tested against the background's cameras and the ground. Tracking needs
+//! only images, so the stage `features` does it in its own pass over them ([`point_tracks`]). The results of this stage
+//! are boxes of moving objects by frame, and a label of each point: the next stage uses them to decide whether the
+//! objects with masks moved.
 
 pub(in crate::pipeline) mod point_tracks;
 pub(in crate::pipeline) mod stationary_boxes;
@@ -27,14 +27,14 @@ use crate::pipeline::driver::run::{Outcome, Run};
 use crate::pipeline::inputs::images;
 use crate::pipeline::{Instances, MotionChoice, Result, Stage};
 use crate::scene::{BoxDetection, DetectionSource, Frame, FrameId, ImageId, Reconstruction, Topic};
-use point_tracks::Followed;
+use point_tracks::TrackedPoints;
 
 const LABELS: &str = "labels.bin";
 
-/// The points of a run and what is known of each.
+/// The tracked points of a run and their labels.
 #[derive(Debug, Default)]
 pub(in crate::pipeline) struct Points {
-    /// The frames that tracks count, from 0: those that could be decoded.
+    /// The frames that tracks index, from 0: those that could be decoded.
     pub(in crate::pipeline) frames: Vec<FrameId>,
     pub(in crate::pipeline) tracks: Vec<PointTrack>,
     pub(in crate::pipeline) labels: Vec<TrackLabel>,
@@ -51,7 +51,7 @@ pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
     }))
 }
 
-/// Returns true if motion detects vehicles, besides deciding which of them move.
+/// Returns true if motion detects vehicles, besides determining their motion states.
 fn finds(run: &Run) -> bool {
     run.options.instances == Instances::Vehicles && run.options.vehicles.motion == MotionChoice::On
 }
@@ -61,8 +61,8 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
         return Ok(());
     }
     let folder = run.workspace.intermediate(Stage::Motion, &outcome.fingerprint)?;
-    let Followed { frames, tracks } = point_tracks::points(run)?;
-    // Of a long video the background takes as much room as what comes now.
+    let TrackedPoints { frames, tracks } = point_tracks::points(run)?;
+    // With a long video, the background needs as much memory as the data loaded next.
     let world = World::new(run, &run.workspace.read_background()?, &frames, outcome);
     let labels = classify(&tracks, &world.surroundings(run));
     let found: Vec<MovingObject> = match () {
@@ -84,11 +84,11 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(())
 }
 
-/// Moving objects before a camera that does not translate. Compared are the frames in which the detector looks.
+/// Moving objects before a camera that does not translate, by differences of the frames in which the detector runs.
 fn differences(run: &Run, world: &World, frames: &[Frame], outcome: &mut Outcome) -> Result<Vec<MovingObject>> {
     let schedule = Schedule::of(run)?;
-    let looks = (0u32..).zip(frames).filter(|(k, _)| schedule.is_detected(*k as usize));
-    let indices: BTreeMap<FrameId, u32> = looks.map(|(k, frame)| (frame.id, k)).collect();
+    let scheduled = (0u32..).zip(frames).filter(|(k, _)| schedule.is_detected(*k as usize));
+    let indices: BTreeMap<FrameId, u32> = scheduled.map(|(k, frame)| (frame.id, k)).collect();
     let mut detector = DifferenceDetector::new(world.surroundings(run));
     let chosen = indices.keys().copied().collect();
     images::for_each(run, Stage::Motion, chosen, outcome, |frame, picture| {
@@ -98,17 +98,16 @@ fn differences(run: &Run, world: &World, frames: &[Frame], outcome: &mut Outcome
     Ok(detector.finish().map_err(PerceptionError::from)?)
 }
 
-/// The background as motion is held against it.
+/// Camera poses and ground of the background, for tests of motion.
 pub(in crate::pipeline) struct World {
     times_s: Vec<f64>,
-    /// Per frame its camera, where the background has one.
+    /// Camera of each frame, if it is registered.
     pub(in crate::pipeline) views: Vec<Option<View>>,
     /// The ground, if it was found.
     pub(in crate::pipeline) ground: Option<GroundModel>,
 }
 
-/// The background as later stages hold frames against it; `None` where frames do not follow one another in time, or
-/// motion is not looked at.
+/// The background for later stages; `None` if frames are not in temporal order, or motion is not analyzed.
 pub(in crate::pipeline) fn world(run: &Run, frames: &[Frame]) -> Result<Option<World>> {
     if !point_tracks::is_wanted(run)? {
         return Ok(None);
@@ -133,7 +132,7 @@ impl World {
     }
 }
 
-/// The dominant plane below the camera and what was grown from it, whatever labels are given: they come later.
+/// The dominant plane below the camera and the ground grown from it, independent of labels: these come later.
 fn ground(run: &Run, background: &Reconstruction, outcome: &mut Outcome) -> Option<GroundModel> {
     if background.is_empty() {
         return None;
@@ -167,17 +166,17 @@ pub(in crate::pipeline) fn folder(run: &Run) -> PathBuf {
     run.folder(Stage::Motion)
 }
 
-/// The boxes of what moves; the stage must be done.
+/// The boxes of moving objects; the stage must be done.
 pub(in crate::pipeline) fn boxes(run: &Run) -> FrameFolder<BoxDetection> {
     FrameFolder::new(folder(run))
 }
 
-/// The points and what is known of them; none where motion was not looked at. The stage must be done.
+/// The points and their labels; none if motion was not analyzed. The stage must be done.
 pub(in crate::pipeline) fn points(run: &Run) -> Result<Points> {
     if !point_tracks::is_wanted(run)? {
         return Ok(Points::default());
     }
-    let Followed { frames, tracks } = point_tracks::points(run)?;
+    let TrackedPoints { frames, tracks } = point_tracks::points(run)?;
     let frames = frames.into_iter().map(|frame| frame.id).collect();
     Ok(Points { frames, tracks, labels: intermediate::read(&folder(run).join(LABELS))? })
 }

@@ -1,7 +1,6 @@
-//! Points followed all over the pictures, for the stage `motion`.
+//! Points tracked all over the images, for the stage `motion`.
 //!
-//! Following needs nothing but pictures, and the stage `features` goes through all of them anyway: a video is decoded
-//! once for both.
+//! Tracking needs only images, and the stage `features` decodes all of them anyway: a video is decoded once for both.
 
 use std::path::{Path, PathBuf};
 
@@ -14,20 +13,20 @@ use crate::pipeline::inputs::order;
 use crate::pipeline::{Instances, Result, Stage};
 use crate::scene::Frame;
 
-/// Points and the frames that their tracks count, from 0: those that could be decoded.
+/// Points and the frames that their tracks index, from 0: those that could be decoded.
 #[derive(Debug, Default, Serialize, Deserialize)]
-pub(in crate::pipeline) struct Followed {
+pub(in crate::pipeline) struct TrackedPoints {
     pub(in crate::pipeline) frames: Vec<Frame>,
     pub(in crate::pipeline) tracks: Vec<PointTrack>,
 }
 
-/// Returns true if motion is wanted and the images are in time order.
+/// Returns true if motion is wanted and the images are in temporal order.
 pub(in crate::pipeline) fn is_wanted(run: &Run) -> Result<bool> {
     Ok(order::found(run)?.in_time && run.options.instances != Instances::None)
 }
 
 /// The points; the stage `features` must be done.
-pub(in crate::pipeline) fn points(run: &Run) -> Result<Followed> {
+pub(in crate::pipeline) fn points(run: &Run) -> Result<TrackedPoints> {
     intermediate::read(&path_in(&run.folder(Stage::Features)))
 }
 

@@ -1,8 +1,8 @@
-//! Poses about objects, from the ground alone.
+//! Ground-constrained poses of the views of objects.
 //!
-//! A start of structure from motion that depends on no chance: the object stands on the ground and points where it goes
-//! ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a model:
-//! rough poses need no better ones, and the stage `ground` finds those.
+//! A deterministic initialization of structure from motion: the object is on the ground and heads in its direction of
+//! motion ([`ground_constrained_poses`]). The planes are those that are found without labels, before the object has a
+//! model: rough poses need no better ones, and the stage `ground` finds those.
 
 use std::cell::OnceCell;
 
@@ -22,20 +22,20 @@ use crate::trajectory::ground_constrained_poses;
 /// Error of an initial position, as a share of the object's extent: 0.05 and 0.1 gave models as good.
 const POSITION_ERROR: f64 = 0.25;
 
-/// The ground of a place, as far as it can be determined without labels.
-pub(super) struct Footing<'a> {
+/// The ground of a scene, as far as it can be determined without labels.
+pub(super) struct ObjectGround<'a> {
     run: &'a Run<'a>,
     background: &'a Reconstruction,
-    /// Found when the first object asks for it.
+    /// Computed for the first object that needs it.
     found: OnceCell<GroundResults>,
 }
 
-impl<'a> Footing<'a> {
+impl<'a> ObjectGround<'a> {
     pub(super) fn new(run: &'a Run<'a>, background: &'a Reconstruction) -> Self {
         Self { run, background, found: OnceCell::new() }
     }
 
-    /// Poses of the views of an object; `None` where there is no ground.
+    /// Poses of the views of an object; `None` if there is no ground.
     pub(super) fn poses(&self, id: ObjectId, table: &TrackTable) -> Option<PosePriors> {
         let (options, seed) = (&self.run.options.ground, self.run.options.seed);
         let found = self.found.get_or_init(|| GroundResults {
@@ -47,7 +47,7 @@ impl<'a> Footing<'a> {
     }
 }
 
-/// Poses of the views of an object on the ground; `None` where there is none.
+/// Poses of the views of an object on the ground; `None` if there is none.
 pub fn object_pose_priors(
     chain: &GroundChain,
     id: ObjectId,
@@ -62,7 +62,7 @@ pub fn object_pose_priors(
     (!found.is_empty()).then_some(PosePriors { poses, error_px: POSITION_ERROR * extent_px })
 }
 
-/// Where an object is seen, as a model without points: that is all that local planes ask for.
+/// The views of an object as a model without points: local planes need nothing else.
 fn without_poses(table: &TrackTable) -> Reconstruction {
     let seen = |pixel: &Point2<f64>| Observation { pixel: *pixel, point: Some(Point3dId(1)) };
     let image = |view: &View| Image {

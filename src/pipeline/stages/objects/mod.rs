@@ -1,8 +1,8 @@
 //! Stage `objects`: a model of every object, reconstructed or given.
 //!
-//! First every object is reconstructed, and what is finished is kept one by one. Then one pass through the frames
-//! compares all of them with the masks, and the points that lie next to those are taken out. A run that is killed goes
-//! on with the objects that are left, and does the pass again.
+//! First every object is reconstructed and stored individually. Then one pass through the frames compares all models
+//! with the masks, and removes the points that project outside them. A run that was killed resumes with the remaining
+//! objects, and repeats the pass.
 
 mod footing;
 mod object_boxes;
@@ -29,14 +29,14 @@ use crate::pipeline::{Result, Stage};
 use crate::scene::{
     BoundingBox, Image, ImageId, Mask, Movement, ObjectId, Reconstruction, StationaryVehicles, Topic, TrackedObject,
 };
-use footing::Footing;
+use footing::ObjectGround;
 pub use footing::object_pose_priors;
 
 const REPORTS: &str = "objects-report.json";
-/// Why there is no model where it is not the object's fault.
+/// Reason for a missing model that does not depend on the object.
 const NO_BACKGROUND: &str = "no background to place it in";
-/// The same where vehicles are followed on the ground: a model would have a depth only as far as its vehicle turns
-/// against the line of sight (docs/decisions/041-ground-tracks-below-a-hovering-camera.md).
+/// The same if vehicles have ground tracks: a model would have depth only as far as its vehicle rotates relative to the
+/// line of sight (docs/decisions/041-ground-tracks-below-a-hovering-camera.md).
 const HOVERS: &str = "the camera does not translate";
 
 pub(in crate::pipeline) fn cache_key(run: &Run) -> Result<Value> {
@@ -61,18 +61,19 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     let background = run.workspace.read_background()?;
     let camera = background.cameras.values().next().copied().filter(|_| !background.is_empty());
     let by_points = track::movement::by_points(run)?;
-    let place = ObjectContext { camera, background: &background, by_points, footing: Footing::new(run, &background) };
-    // The frames of every object, and then all frames again for the masks.
+    let context =
+        ObjectContext { camera, background: &background, by_points, footing: ObjectGround::new(run, &background) };
+    // Steps of progress: the frames of every object, and then all frames again for the masks.
     let num_views: usize = wanted.iter().map(|object| object.frames.len()).sum();
     run.progress.begin("objects", Some(num_views as u64));
     let folder = run.workspace.intermediate(Stage::Objects, &outcome.fingerprint)?;
     let mut reports = BTreeMap::new();
     let mut num_done = 0;
     for object in wanted {
-        run.go_on()?;
+        run.check_stop()?;
         let (before, of_this) = (num_done, object.frames.len());
         let mut watch = |share: f64| run.progress.reach(before + (share * of_this as f64) as u64);
-        reports.insert(object.id, one_object(run, object, &place, &folder, &mut watch)?);
+        reports.insert(object.id, one_object(run, object, &context, &folder, &mut watch)?);
         num_done += of_this as u64;
         run.progress.reach(num_done);
     }
@@ -89,14 +90,14 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     Ok(atomic::remove_folder(&folder)?)
 }
 
-/// The report of an object that is reconstructed, until all of them are.
+/// The report of a reconstructed object, until all objects are finished.
 fn report_in(folder: &Path, id: ObjectId) -> PathBuf {
     folder.join(format!("{id}.json"))
 }
 
 fn describe(id: ObjectId, report: &ModelReport, outcome: &mut Outcome) {
     match &report.failure {
-        // The run says so once.
+        // The run reports it once.
         Some(failure) if [NO_BACKGROUND, HOVERS].contains(&failure.as_str()) => {
             outcome.note(Topic::VehicleNotReconstructed.warning(format!("object {id}: not reconstructed: {failure}")))
         }
@@ -126,7 +127,7 @@ pub(in crate::pipeline) fn reports(run: &Run) -> Result<BTreeMap<ObjectId, Model
     run.workspace.read_state(REPORTS)
 }
 
-/// One object's model as structure from motion left it, where it has one.
+/// One object's model before the adjustment with the ground, if it has one.
 pub(in crate::pipeline) fn as_reconstructed(
     run: &Run,
     id: ObjectId,
@@ -141,12 +142,12 @@ struct ObjectContext<'a> {
     camera: Option<Camera>,
     background: &'a Reconstruction,
     by_points: PointFindings,
-    footing: Footing<'a>,
+    footing: ObjectGround<'a>,
 }
 
 impl ObjectContext<'_> {
-    /// The model of a vehicle that may be stationary, triangulated from the background's cameras. `None` where its
-    /// points or its foot show motion, which only the shaking of the camera contradicts, or on request.
+    /// The model of a vehicle that may be stationary, triangulated from the background's cameras. `None` on request, or
+    /// if its points or its contact with the ground show motion that only camera shake contradicts.
     fn stationary(
         &self,
         run: &Run,
@@ -174,11 +175,11 @@ impl ObjectContext<'_> {
     }
 }
 
-/// One object's report and, in `folder`, its model, which is still to be compared with the masks unless it was given.
+/// One object's report and, in `folder`, its model, which is compared with the masks later unless it was given.
 fn one_object(
     run: &Run,
     object: &TrackedObject,
-    place: &ObjectContext<'_>,
+    context: &ObjectContext<'_>,
     folder: &Path,
     watch: &mut (dyn FnMut(f64) + Send),
 ) -> Result<ModelReport> {
@@ -190,18 +191,18 @@ fn one_object(
     let given = run.options.object_models.get(&id);
     let failed =
         |failure: String| (Reconstruction::default(), ModelReport { failure: Some(failure), ..ModelReport::default() });
-    let (model, mut report) = match (given, place.camera) {
+    let (model, mut report) = match (given, context.camera) {
         (Some(path), _) => given_models::read(path, Target::Object, run)?,
         (None, _) if object.left_out.is_some() => failed(object.left_out.clone().unwrap_or_default()),
-        (None, Some(_)) if place.background.points.is_empty() => failed(HOVERS.to_owned()),
+        (None, Some(_)) if context.background.points.is_empty() => failed(HOVERS.to_owned()),
         (None, Some(camera)) => {
             let table = follow::of_object(run, id)?;
             let options = order::sfm_options(run)?.1.mapper;
-            match place.stationary(run, object, &table, camera, &options)? {
+            match context.stationary(run, object, &table, camera, &options)? {
                 Some(found) => found,
                 None => {
                     let cameras = [(camera, mapper::Intrinsics::FIXED)];
-                    let poses = if options.pose_priors { place.footing.poses(id, &table) } else { None };
+                    let poses = if options.pose_priors { context.footing.poses(id, &table) } else { None };
                     background::reconstruct(run, table, &cameras, &options, poses.as_ref(), watch)?
                 }
             }
@@ -218,21 +219,20 @@ fn one_object(
     Ok(report)
 }
 
-/// A mask, grown by what its border may be off: a pixel, and a hundredth of its longer side.
+/// A mask dilated by the uncertainty of its border: a pixel, and a hundredth of its longer side.
 fn grown(mask: &Mask, bounds: BoundingBox) -> Mask {
     let longer_px = f64::from(bounds.width().max(bounds.height()));
-    // Pixels by which a mask's border may be off, and the same as a share of the longer side of the mask.
+    // Uncertainty of a mask's border, pixels and as a share of the longer side of the mask.
     mask.dilated((1.0 + 0.01 * longer_px).round() as u32)
 }
 
-/// A reconstruction that is being compared with the masks.
+/// A reconstruction during the comparison with the masks.
 struct Unchecked {
     model: Reconstruction,
     votes: SilhouetteVotes,
 }
 
-/// Stores all models, those that were reconstructed without the points that lie next to their masks; every mask is read
-/// once.
+/// Stores all models, reconstructed ones without the points that project outside their masks; every mask is read once.
 fn check_silhouettes(
     run: &Run,
     tracked: &[TrackedObject],
@@ -263,16 +263,16 @@ fn check_silhouettes(
     Ok(())
 }
 
-/// Takes out the views to which too few points are left: nothing holds their poses, and an adjustment with the ground
-/// would end at them.
+/// Removes the views with too few remaining points: their poses are undetermined, and the adjustment with the ground
+/// would fail.
 fn drop_bare_views(model: &mut Reconstruction, report: &mut ModelReport) {
-    // Three points determine a pose, given one to start from.
-    const HOLD_A_POSE: usize = 3;
+    // Minimum number of points: three determine a pose, given an initial one.
+    const MIN_POSE_POINTS: usize = 3;
     let num_seen = |image: &Image| image.observations.iter().filter(|seen| seen.point.is_some()).count();
     let bare: Vec<ImageId> =
-        model.images.iter().filter(|(_, image)| num_seen(image) < HOLD_A_POSE).map(|(id, _)| *id).collect();
+        model.images.iter().filter(|(_, image)| num_seen(image) < MIN_POSE_POINTS).map(|(id, _)| *id).collect();
     for id in &bare {
-        let reason = format!("fewer than {HOLD_A_POSE} of its visible points are inside the masks of other frames");
+        let reason = format!("fewer than {MIN_POSE_POINTS} of its visible points are inside the masks of other frames");
         report.unregistered.insert(id.frame(), reason);
     }
     model.remove_images(&bare);

@@ -1,9 +1,9 @@
-//! The box of an object in every view, parts that something hides included.
+//! The box of an object in every view, including occluded parts.
 //!
-//! The box round the features of a view is the object's only where all of it is visible. An occluder hides features,
-//! but the others still follow the object. A side of the box is therefore estimated over as many views as a track
-//! lasts, in which the object looks much the same: relative to the path of the features, it is as far out as in most
-//! views that show it.
+//! The box of a view's features is that of the object only if all of it is visible. An occluder hides features, but the
+//! others still follow the object. A side of the box is therefore estimated over as many views as a track lasts, in
+//! which the object's appearance hardly changes: relative to the path of the features, it has the same offset as in
+//! most views that show it.
 
 use std::collections::BTreeMap;
 
@@ -13,23 +13,23 @@ use crate::features::tracks::{TrackTable, View};
 use crate::math::{median, quantile};
 use crate::scene::{FrameId, Rect};
 
-/// Fewest features that show an object's position or motion.
+/// Minimum number of features that determine an object's position or motion.
 const MIN_FEATURES: usize = 5;
-/// Share of the views in which a side of an object is visible, at least; with a smaller one single wrong features
-/// would move the side.
+/// Minimum share of the views in which a side of an object is visible; with a smaller one, single outliers would move
+/// the side.
 const VISIBLE_SHARE: f64 = 0.1;
-/// Views in a row below which all may hide the same side.
+/// Number of consecutive views below which all may have the same side occluded.
 const MIN_VIEWS: usize = 5;
 
-/// The box round the features of a view, and their motion since the view before, pixels.
+/// The box of a view's features, and their motion since the previous view, pixels.
 struct VisibleBox {
     frame: FrameId,
     bounds: Rect,
-    /// `None` where too few features of the view before are left.
+    /// `None` if too few features of the previous view are left.
     motion: Option<Vector2<f64>>,
 }
 
-/// Boxes of the object in the frames that show enough of it.
+/// Boxes of the object in the frames with enough features.
 pub(super) fn object_boxes(table: &TrackTable) -> BTreeMap<FrameId, Rect> {
     let visible = table.views.iter().zip(motions(table)).filter_map(|(view, motion)| VisibleBox::of(view, motion));
     let visible: Vec<VisibleBox> = visible.collect();
@@ -40,9 +40,9 @@ pub(super) fn object_boxes(table: &TrackTable) -> BTreeMap<FrameId, Rect> {
     stretches.into_iter().filter(is_long).flat_map(|stretch| complete(stretch, reach)).collect()
 }
 
-/// The boxes of consecutive views, hidden parts included.
+/// The boxes of consecutive views, including occluded parts.
 ///
-/// * `reach` – number of views before and after a view in which the object looks much the same.
+/// * `reach` – number of views before and after a view in which the object's appearance hardly changes.
 fn complete(stretch: &[VisibleBox], reach: usize) -> Vec<(FrameId, Rect)> {
     let motion = |k: usize| stretch[k].motion.filter(|_| k > 0).unwrap_or_default();
     let path: Vec<Vector2<f64>> = (0..stretch.len())
@@ -72,7 +72,7 @@ impl VisibleBox {
     }
 }
 
-/// Median motion of the features since the view before, by view, pixels; `None` where too few are in both.
+/// Median motion of the features since the previous view, by view, pixels; `None` if too few are in both.
 fn motions(table: &TrackTable) -> Vec<Option<Vector2<f64>>> {
     let mut steps = vec![Vec::new(); table.views.len()];
     for track in &table.tracks {
@@ -103,7 +103,7 @@ mod tests {
         Vector2::new(100.0 + 3.0 * t + 0.05 * t * t, 200.0 + 0.5 * t)
     }
 
-    /// Tracks of features on a grid over the object, of those that `is_visible(view, x)` lets through; a feature that
+    /// Tracks of features on a grid over the object, visible where `is_visible(view, x)` is true; a feature that
     /// vanishes starts a new track where it returns.
     fn table(num_views: usize, is_visible: impl Fn(usize, f64) -> bool) -> TrackTable {
         let grid = |i: usize, n: usize| i as f64 / (n - 1) as f64;
@@ -142,8 +142,8 @@ mod tests {
     }
 
     #[test]
-    fn sides_that_an_occluder_hides_are_found_from_views_that_show_them() {
-        // An edge moves over the object and back, and hides up to three quarters of it for less than tracks last.
+    fn occluded_sides_are_estimated_from_other_views() {
+        // An edge moves over the object and back, and occludes up to three quarters of it for less than tracks last.
         let hidden = |view: usize| (1.2 - (view as f64 - 30.0).abs() / 10.0).clamp(0.0, 0.75) * LENGTH;
         let found = object_boxes(&table(60, |view, x| x >= hidden(view)));
         assert_eq!(found.len(), 60);
@@ -167,7 +167,7 @@ mod tests {
     }
 
     #[test]
-    fn a_few_views_of_a_part_show_no_box() {
+    fn a_few_views_of_a_part_give_no_box() {
         let found = object_boxes(&table(40, |view, x| match view {
             0..30 => true,
             33..36 => x < 0.3 * LENGTH,

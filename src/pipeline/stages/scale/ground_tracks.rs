@@ -7,10 +7,10 @@ use crate::pipeline::stages::background::ModelReport;
 use crate::scene::{Frame, GroundTrack, ObjectId, ObjectTrajectory, TrackedObject, Trust};
 use crate::trajectory::{self, BodyOnGround, ContactEvidence, FocalError, Silhouette, outline_pixels};
 
-/// Share of a vehicle's frames that its trajectory must cover to need no ground track besides: less is an excerpt.
-const MOSTLY: f64 = 0.5;
+/// Minimum share of a vehicle's frames that its trajectory must cover to make a ground track unnecessary.
+const MIN_COVERAGE: f64 = 0.5;
 
-/// A ground track, and the body of its vehicle.
+/// A ground track, and the ground body of its vehicle.
 type OnGround = (GroundTrack, Option<BodyOnGround>);
 
 /// Outcomes of the vehicles so far.
@@ -22,8 +22,8 @@ pub(super) struct Placed<'a> {
 }
 
 impl Placed<'_> {
-    /// Why a vehicle gets a ground track; `None` where its trajectory is usable, or it gets none of any kind. Empty for
-    /// a doubtful trajectory, which meters may refute: [`decided`] has the last word.
+    /// Reason for a ground track; `None` if the vehicle's trajectory is usable, or it gets neither. Empty for a
+    /// doubtful trajectory, which meters may refute: [`decided`] makes the final choice.
     fn reason(&self, tracked: &TrackedObject) -> Option<String> {
         let report = self.reports.get(&tracked.id).filter(|_| tracked.left_out.is_none())?;
         let Some(trajectory) = self.objects.iter().find(|object| object.id == tracked.id) else {
@@ -35,7 +35,7 @@ impl Placed<'_> {
         let (placed, visible) = (trajectory.poses.len(), tracked.frames.len());
         if let Some(reason) = rejection(trajectory) {
             return Some(reason);
-        } else if (placed as f64) < MOSTLY * visible as f64 {
+        } else if (placed as f64) < MIN_COVERAGE * visible as f64 {
             return Some(format!("trajectory in {placed} of {visible} frames only"));
         }
         let is_doubtful = trajectory.verdict.as_ref().is_some_and(|verdict| verdict.state == Trust::Doubtful);
@@ -43,14 +43,14 @@ impl Placed<'_> {
     }
 }
 
-/// Why a trajectory is rejected; `None` for one that is not.
+/// Reason why a trajectory is rejected; `None` for others.
 fn rejection(trajectory: &ObjectTrajectory) -> Option<String> {
     let refuted = || trajectory.verdict.as_ref()?.against().next().map(|reason| reason.says.clone());
     let reason = || trajectory.scale.reason.clone().or_else(refuted).unwrap_or_default();
     trajectory.is_ruled_out().then(|| format!("trajectory rejected: {}", reason()))
 }
 
-/// The ground tracks of vehicles whose trajectory is unusable by its last verdict, with the class of the trajectory.
+/// The ground tracks of vehicles whose trajectory is unusable by its final verdict, with the class of the trajectory.
 pub(in crate::pipeline) fn decided(tracks: Vec<GroundTrack>, objects: &[ObjectTrajectory]) -> Vec<GroundTrack> {
     let last = |mut track: GroundTrack| {
         let object = objects.iter().find(|object| object.id == track.id);
@@ -65,8 +65,8 @@ pub(in crate::pipeline) fn decided(tracks: Vec<GroundTrack>, objects: &[ObjectTr
     tracks.into_iter().filter_map(last).collect()
 }
 
-/// Follows every vehicle on the ground whose trajectory is unusable or doubtful. Gives also why others that need a
-/// ground track have none.
+/// Tracks every vehicle with an unusable or doubtful trajectory on the ground. Also returns the reasons for missing
+/// ground tracks.
 pub(super) fn find(
     scene: &Scene,
     placed: &Placed,
@@ -90,10 +90,10 @@ pub(super) fn find(
     (tracks, without)
 }
 
-/// Follows a vehicle on the ground.
+/// Tracks a vehicle on the ground.
 ///
 /// # Errors
-/// Why it has no ground track.
+/// The reason for a missing ground track.
 fn follow(scene: &Scene, tracked: &TrackedObject) -> Result<OnGround, String> {
     let (run, background) = (scene.run, scene.background);
     let chain = scene.sources.chain(background, run.options);

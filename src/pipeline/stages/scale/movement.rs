@@ -1,8 +1,8 @@
 //! Motion state of a vehicle by its points and its trajectory together.
 //!
 //! Points that leave their epipolar lines show motion by themselves. A vehicle that moves along the camera's path
-//! leaves no such trace: only its scale, and so the ground, tells it from a stationary one. The trajectory knows the
-//! scale better than points that are followed for a second or two ([`RelativeMotion`]).
+//! leaves no such trace: only its scale, and so the ground, distinguishes it from a stationary one. The trajectory
+//! determines the scale better than points that are tracked for a second or two ([`RelativeMotion`]).
 
 use crate::math::rounding::with_std;
 use crate::motion::{CLEAR_ODDS, MovementReason};
@@ -12,24 +12,24 @@ use crate::scene::{
 };
 use crate::trajectory::RelativeMotion;
 
-/// Evidence of a trajectory: relative motion in the whole, and the greatest odds of motion of a piece between gaps.
+/// Evidence of a trajectory: relative motion overall, and the largest odds of motion of a segment between gaps.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct TrajectoryEvidence {
-    /// Of the whole.
+    /// Relative motion of the whole trajectory.
     pub(super) whole: RelativeMotion,
-    /// Of the piece with the greatest odds of motion.
+    /// Relative motion of the segment with the largest odds of motion.
     piece: RelativeMotion,
     ratio_std: f64,
 }
 
 impl TrajectoryEvidence {
-    /// `None` where the scale ratio has no standard deviation, the trajectory too few positions, or no outline shows
-    /// the contact with the ground: of a vehicle behind others the lowest points are not near it.
+    /// `None` if the scale ratio has no standard deviation, the trajectory has too few positions, or no outline shows
+    /// the contact with the ground: the lowest points of an occluded vehicle are not near it.
     ///
-    /// * `gaps` – of the track: across them it may have gone over to another vehicle.
+    /// * `gaps` – gaps of the track: across them it may have switched to another vehicle.
     pub(super) fn of(trajectory: &ObjectTrajectory, gaps: &[Gap], background: &Reconstruction) -> Option<Self> {
-        // Where the focal length is uncertain, the camera moves forward, and an error of it changes ratio and model
-        // inversely: depths, and so the motion along the line of sight, stay.
+        // Where the focal length is uncertain, the camera moves forward, and its error changes ratio and model
+        // inversely: depths, and so the motion along the line of sight, are unaffected.
         let scale = &trajectory.scale;
         let is_without_contact = scale.support.as_ref().is_some_and(|support| support.frames_with_outline == 0);
         if is_without_contact && scale.method == ScaleMethod::Joint {
@@ -45,18 +45,18 @@ impl TrajectoryEvidence {
         ratio_std.is_finite().then_some(Self { whole, piece, ratio_std })
     }
 
-    /// Odds of motion: of the piece that moves, or else of the whole.
+    /// Odds of motion: of the moving segment, or else of the whole trajectory.
     fn odds(&self) -> (f64, &RelativeMotion) {
         let [piece, whole] = [&self.piece, &self.whole].map(|motion| motion.odds_of_motion(self.ratio_std));
         if piece > 1.0 { (piece, &self.piece) } else { (whole, &self.whole) }
     }
 }
 
-/// The finding by points, revised by the trajectory.
+/// Revises the finding by points with the trajectory.
 ///
-/// * Points that move against the background decide; so do odds of the trajectory that are clear.
-/// * Where points and trajectory contradict one another, and where the odds of the trajectory are on the side of motion
-///   but points are stationary, the state is undetermined.
+/// * Points that move relative to the background decide; so do clear odds of the trajectory.
+/// * If points and trajectory contradict one another, or if the odds of the trajectory favor motion but points are
+///   stationary, the state is undetermined.
 pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvidence>) -> MovementFinding {
     let before = &by_points.finding;
     let Some(evidence) = evidence else { return before.clone() };
@@ -85,8 +85,8 @@ pub(super) fn revised(by_points: &PointFinding, evidence: Option<&TrajectoryEvid
     MovementFinding { state, reason }
 }
 
-/// Returns true if the shape of the model contradicts the scale of a trajectory. Its motion relative to
-/// the camera is then no evidence: a wrong ratio moves a parked vehicle along.
+/// Returns true if the shape of the model contradicts the scale of a trajectory. Its motion relative to the camera is
+/// then no evidence: a wrong ratio makes a parked vehicle move with the camera.
 pub(super) fn contradicts_scale(verdict: &Verdict) -> bool {
     verdict.against().any(|reason| reason.kind == ReasonKind::Shape)
 }
@@ -117,7 +117,7 @@ mod tests {
             assert_eq!(revised(&open, Some(&evidence(slope, slope))).state, state, "{slope}");
         }
         assert_eq!(revised(&open, None), open.finding);
-        // A track that goes over from an oncoming car to a parked one.
+        // A track that switches from an oncoming car to a parked one.
         assert_eq!(revised(&open, Some(&evidence(1.0, 2.0))).state, Movement::Moving);
     }
 

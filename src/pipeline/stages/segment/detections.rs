@@ -1,4 +1,4 @@
-//! Detections on disk: one small file per frame, so that a run that was killed need not run the network again.
+//! Stored detections: one small file per frame, so that a run that was killed need not rerun the network.
 
 use std::marker::PhantomData;
 use std::path::PathBuf;
@@ -10,16 +10,16 @@ use crate::pipeline::Result;
 use crate::pipeline::driver::intermediate::{self, damaged};
 use crate::scene::{Frame, FrameId, Mask};
 
-/// A folder with a list of things per frame.
+/// A folder with a list of detections per frame.
 #[derive(Clone, Debug)]
 pub(in crate::pipeline) struct FrameFolder<T> {
     folder: PathBuf,
-    things: PhantomData<T>,
+    item: PhantomData<T>,
 }
 
 impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
     pub(in crate::pipeline) fn new(folder: PathBuf) -> Self {
-        Self { folder, things: PhantomData }
+        Self { folder, item: PhantomData }
     }
 
     /// The file of a frame.
@@ -35,13 +35,13 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
         intermediate::write(&self.path(frame.id), &found)
     }
 
-    /// The things of a frame; none for one that could not be decoded.
+    /// The detections of a frame; none for one that could not be decoded.
     pub(in crate::pipeline) fn read(&self, frame: FrameId) -> Result<Vec<T>> {
         let path = self.path(frame);
         if path.is_file() { intermediate::read(&path) } else { Ok(Vec::new()) }
     }
 
-    /// As [`Self::read`], of things with masks, which must have a size.
+    /// As [`Self::read`], for detections with masks, whose size is checked.
     pub(in crate::pipeline) fn read_masks(
         &self,
         frame: FrameId,
@@ -49,7 +49,7 @@ impl<T: Serialize + DeserializeOwned> FrameFolder<T> {
         mask: impl Fn(&T) -> &Mask,
     ) -> Result<Vec<T>> {
         let found = self.read(frame)?;
-        match found.iter().all(|thing| mask(thing).size() == size) {
+        match found.iter().all(|detection| mask(detection).size() == size) {
             true => Ok(found),
             false => Err(damaged(&self.path(frame), "a mask differs in size from its frame")),
         }
@@ -68,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn detections_come_back() {
+    fn detections_survive_a_round_trip() {
         let folder = tempfile::tempdir().unwrap();
         let store = FrameFolder::new(folder.path().to_owned());
         let frame = Frame { id: FrameId(3), name: "000003.jpg".into(), time_s: 0.0 };

@@ -1,4 +1,5 @@
-//! Stage `segment`: what may move, in every frame: masks by a network of the user's, or boxes by the detector.
+//! Stage `segment`: detection of movable objects in every frame: masks by a network of the user's, or boxes by the
+//! detector.
 
 pub(in crate::pipeline) mod detections;
 pub(in crate::pipeline) mod schedule;
@@ -49,12 +50,12 @@ pub(in crate::pipeline) fn run_stage(run: &Run, outcome: &mut Outcome) -> Result
     }
 }
 
-/// The masks that the user's network found; the stage must be done.
+/// The masks by the user's network; the stage must be done.
 pub(in crate::pipeline) fn finished(run: &Run) -> DetectionFolder {
     FrameFolder::new(run.folder(Stage::Segment))
 }
 
-/// The boxes that the detector found; the stage must be done.
+/// The boxes by the detector; the stage must be done.
 pub(in crate::pipeline) fn finished_boxes(run: &Run) -> BoxFolder {
     FrameFolder::new(run.folder(Stage::Segment))
 }
@@ -89,19 +90,19 @@ fn find_boxes(run: &Run, outcome: &mut Outcome) -> Result<()> {
     let Some(mut detector) = networks.load_detector(run)? else { return Ok(()) };
     outcome.figure("networks", hashes_by_name(&networks.detector)?);
     let store = BoxFolder::new(path);
-    let rhythm = Schedule::of(run)?;
-    let looked = run.frames()?.iter().enumerate().filter(|(index, _)| rhythm.is_detected(*index));
-    search(run, looked.map(|(_, frame)| frame), &store, outcome, |picture| detector.detect(picture))?;
+    let schedule = Schedule::of(run)?;
+    let scheduled = run.frames()?.iter().enumerate().filter(|(index, _)| schedule.is_detected(*index));
+    search(run, scheduled.map(|(_, frame)| frame), &store, outcome, |picture| detector.detect(picture))?;
     Ok(())
 }
 
-/// Looks at the frames that an earlier run has not finished. Returns the number of things in all frames.
+/// Runs a detector on the frames that an earlier run has not finished. Returns the number of detections in all frames.
 fn search<'a, T: Serialize + DeserializeOwned>(
     run: &Run,
     frames: impl Iterator<Item = &'a Frame>,
     store: &FrameFolder<T>,
     outcome: &mut Outcome,
-    mut look: impl FnMut(&RgbImage) -> Result<Vec<T>, PerceptionError>,
+    mut detect: impl FnMut(&RgbImage) -> Result<Vec<T>, PerceptionError>,
 ) -> Result<usize> {
     let (done, open): (Vec<&Frame>, Vec<&Frame>) = frames.partition(|frame| store.has(frame));
     tracing::debug!("{} of {} frames already processed", done.len(), done.len() + open.len());
@@ -111,9 +112,9 @@ fn search<'a, T: Serialize + DeserializeOwned>(
     }
     let open = open.iter().map(|frame| frame.id).collect();
     images::for_each(run, Stage::Segment, open, outcome, |frame, picture| {
-        let things = look(&picture)?;
-        found += things.len();
-        store.write(&frame, &things)
+        let detections = detect(&picture)?;
+        found += detections.len();
+        store.write(&frame, &detections)
     })?;
     outcome.figure("num_detections", found);
     Ok(found)

@@ -98,7 +98,7 @@ impl Detections {
                 found.extend(moving.read(frame.id)?.into_iter().map(DetectedBox::from));
                 segmenter.begin(frame.id, Pass::Forward);
                 let by = if schedule.is_detected(index) { BoxSource::Detector } else { BoxSource::Motion };
-                FrameInput { found, by, segmenter: if schedule.is_asked(index) { Some(segmenter) } else { None } }
+                FrameInput { found, by, segmenter: if schedule.is_segmented(index) { Some(segmenter) } else { None } }
             }
         })
     }

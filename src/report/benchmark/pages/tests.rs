@@ -39,7 +39,7 @@ fn every_sequence_has_its_row_and_failures_their_reason() {
 }
 
 #[test]
-fn what_the_runs_say_of_their_ratios_is_held_against_the_errors() {
+fn reported_sigmas_of_ratios_are_compared_with_the_errors() {
     let mut set = set();
     assert!(!summary(&set, &[]).contains("standard deviations"));
     for (entry, deviation) in set.sequences.iter_mut().zip([0.01, 0.03]) {
@@ -73,7 +73,7 @@ fn the_reconstructions_as_they_were_have_a_floor_of_their_own() {
 }
 
 #[test]
-fn other_results_stand_beside_ours() {
+fn other_results_are_compared_with_ours() {
     let mut other = set();
     other.label = "COLMAP".into();
     other.sequences.remove(0);

@@ -1,14 +1,15 @@
-//! Relation of the images of a given model to the frames, and the model in pixels of the frames.
+//! Relation of the images of a given model to the frames, and conversion of the model to pixels of the frames.
 //!
-//! A picture is its frame, or
+//! An image of the model is its frame, or
 //!
 //! * the frame before `--max-dimension` reduced it;
-//! * the frame as the file stores it, a quarter turn from upright: a clockwise turn of a picture of height h takes
-//!   (x, y) to (h − y, x), and the camera turns about its axis with it;
-//! * the frame without distortion, where the lens of the frames is given: a feature lies where that lens sees its ray.
+//! * the frame as the file stores it, rotated by 90° from upright: a clockwise rotation of an image of height h maps
+//!   (x, y) to (h − y, x), and the camera rotates about its optical axis with it;
+//! * the undistorted frame, if the intrinsics of the frames are given: a feature is moved to the distorted projection
+//!   of its ray.
 //!
-//! None of it changes a ray, and so neither poses (but for the turn) nor points. Half a turn does not show in the size
-//! of a picture, so that the picture is taken to be upright.
+//! None of these changes a ray, and so neither points nor poses (except by the rotation). A rotation by 180° does not
+//! change the size of an image, so such an image is assumed to be upright.
 
 #[cfg(test)]
 mod tests;
@@ -27,11 +28,11 @@ use crate::scene::{CameraId, FrameId, Reconstruction, Topic, Warning};
 pub(super) struct Pictures<'a> {
     /// Width and height of the frames, pixels.
     pub(super) frame: (u32, u32),
-    /// The same before they were reduced.
+    /// The same before `--max-dimension`.
     pub(super) source: (u32, u32),
-    /// The lens of the frames, if it is given.
+    /// The intrinsics of the frames, if they are given.
     pub(super) lens: Option<Camera>,
-    /// Quarter turns, clockwise, from a picture as its file stores it to the frame; `None` if it is mirrored as well.
+    /// Clockwise rotations by 90° from the stored image to the frame; `None` if it is mirrored as well.
     pub(super) turns: &'a dyn Fn(FrameId) -> Option<u8>,
 }
 
@@ -39,9 +40,9 @@ pub(super) struct Pictures<'a> {
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct ImageTransform {
     num_turns: u8,
-    /// The camera of the turned picture.
+    /// The camera of the rotated image.
     turned: Camera,
-    /// That of the frame.
+    /// The camera of the frame.
     camera: Camera,
     /// True if the image has no distortion, but its frame has.
     is_undistorted: bool,
@@ -65,13 +66,13 @@ impl ImageTransform {
     }
 }
 
-/// Brings a model whose images are frames to the pixels of the frames, and says what was taken for granted.
+/// Converts a model whose images are frames to the pixels of the frames, and reports the assumptions made.
 ///
-/// * `unstated` – cameras whose image size the file does not state: the size in the model holds their features, and its
-///   middle is the picture's.
+/// * `unstated` – cameras whose image size is not in the file: the size in the model contains their features, and its
+///   center is that of the image.
 ///
 /// # Errors
-/// [`PipelineError::Options`] names both sizes if pictures are not the frames.
+/// [`PipelineError::Options`] with both sizes if the images are not the frames.
 pub(super) fn fit(
     path: &Path,
     model: &mut Reconstruction,
@@ -122,13 +123,13 @@ pub(super) fn fit(
     .collect())
 }
 
-/// The id of a camera's first version is its own, those of others are new.
+/// The first version of a camera keeps its id; others get new ones.
 fn fresh_id(own: CameraId, stored: &BTreeMap<CameraId, Camera>, taken: &BTreeMap<CameraId, Camera>) -> CameraId {
     let last = stored.keys().chain(taken.keys()).max().map_or(0, |id| id.0);
     if taken.contains_key(&own) { CameraId(last.saturating_add(1)) } else { own }
 }
 
-/// Gives pictures whose size is not stated that of the frames, or of what the frames were made from.
+/// Sets the missing image sizes to that of the frames, or to the frames' size before resizing.
 fn complete_sizes(model: &mut Reconstruction, unstated: &BTreeSet<CameraId>, pictures: &Pictures) {
     let upright = [pictures.frame, pictures.source];
     for (id, image) in &mut model.images {
@@ -172,7 +173,7 @@ fn has_distortion(camera: &Camera) -> bool {
     camera.radial != [0.0; 2] || !camera.higher.are_zero()
 }
 
-/// The camera of a picture that is turned clockwise by a quarter.
+/// The camera of an image rotated clockwise by 90°.
 fn turned_camera(camera: &Camera) -> Camera {
     let ([fx, fy], [cx, cy], [p1, p2]) = (camera.focal, camera.principal, camera.higher.tangential);
     Camera {
@@ -181,7 +182,7 @@ fn turned_camera(camera: &Camera) -> Camera {
         focal: [fy, fx],
         principal: [f64::from(camera.height) - cy, cx],
         radial: camera.radial,
-        // Adding to zero keeps what is absent from becoming −0.
+        // Adding to zero avoids −0 for absent terms.
         higher: HigherTerms { tangential: [p2, 0.0 - p1], ..camera.higher },
     }
 }
@@ -195,13 +196,13 @@ fn turned_pixel(pixel: Point2<f64>, (width, height): (u32, u32), num_turns: u8) 
     }
 }
 
-/// The turned camera's axes from the camera's own.
+/// Axes of the rotated camera from those of the camera.
 fn about_axis(num_turns: u8) -> Rigid3 {
     let angle = f64::from(num_turns) * std::f64::consts::FRAC_PI_2;
     Rigid3::new(UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle), Vector3::zeros())
 }
 
-/// Why pictures cannot be the frames, with both sizes and what to do.
+/// Reason why the images cannot be the frames, with both sizes and the remedy.
 fn other_pictures(path: &Path, camera: &Camera, pictures: &Pictures) -> String {
     let shown = |(width, height): (u32, u32)| format!("{width}x{height}");
     let (own, frame, source) = ((camera.width, camera.height), pictures.frame, pictures.source);

@@ -1,4 +1,4 @@
-//! Pictures that are turned, reduced, without distortion, or of unknown size.
+//! Images that are rotated, reduced, undistorted, or of unknown size.
 
 use nalgebra::Point3;
 
@@ -9,7 +9,7 @@ fn lens(width: u32, height: u32, values: &[f64]) -> Camera {
     Camera::prior(width, height).with_parameters(values).unwrap()
 }
 
-/// A landscape lens with all terms.
+/// A landscape camera with all distortion terms.
 fn odd_lens() -> Camera {
     lens(960, 540, &[700.0, 710.0, 481.25, 269.5, -0.1, 0.02, 1e-3, -2e-3, 0.004])
 }
@@ -29,7 +29,7 @@ fn assert_same_errors(found: &Reconstruction, before: &Reconstruction, scale: f6
 }
 
 #[test]
-fn a_turned_camera_sees_what_is_turned() {
+fn a_rotated_camera_projects_rotated_points() {
     let camera = odd_lens();
     let point = Point3::new(0.4, -0.3, 1.7);
     for num_turns in 0..4u8 {
@@ -41,9 +41,9 @@ fn a_turned_camera_sees_what_is_turned() {
 }
 
 #[test]
-fn pictures_as_stored_are_turned_each_its_own_way() {
+fn stored_images_are_rotated_individually() {
     let before = model_with(&[odd_lens()]);
-    // Two of the images were held the other way round.
+    // Two of the images were rotated the other way.
     let turns = |id: FrameId| Some(if id.0.is_multiple_of(2) { 1 } else { 3 });
     for frame in [(540, 960), (270, 480)] {
         let pictures = Pictures { frame, source: (540, 960), lens: None, turns: &turns };
@@ -62,7 +62,7 @@ fn pictures_as_stored_are_turned_each_its_own_way() {
 }
 
 #[test]
-fn pictures_before_reduction_are_reduced_and_the_frames_stay_as_they_are() {
+fn full_size_images_are_reduced() {
     let before = model_with(&[odd_lens()]);
     let pictures = Pictures { frame: (480, 270), source: (960, 540), lens: None, turns: &|_| Some(0) };
     let (found, remarks) = fitted(before.clone(), &pictures).unwrap();
@@ -77,7 +77,7 @@ fn pictures_before_reduction_are_reduced_and_the_frames_stay_as_they_are() {
 }
 
 #[test]
-fn undistorted_pictures_need_the_lens_of_the_frames() {
+fn undistorted_images_need_the_intrinsics_of_the_frames() {
     let before = model_with(&[lens(1000, 620, &[650.0, 650.0, 500.0, 310.0])]);
     let size = (960, 540);
     let unknown = Pictures { frame: size, source: size, lens: None, turns: &|_| Some(0) };
@@ -97,7 +97,7 @@ fn undistorted_pictures_need_the_lens_of_the_frames() {
 }
 
 #[test]
-fn sizes_that_no_file_states_are_the_frames() {
+fn missing_sizes_are_those_of_the_frames() {
     let mut model = model_with(&[lens(900, 500, &[700.0, 700.0, 450.0, 250.0])]);
     let before = model.clone();
     // One camera per image, as in the formats that have no sizes.
