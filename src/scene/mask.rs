@@ -89,8 +89,9 @@ impl BoundingBox {
 
     /// Returns true if the border of an image of this size, pixels, may truncate the object.
     ///
-    /// Masks end up to [`TRUNCATION_PX`] before the border, or up to the error of the sides of boxes, a twentieth of
-    /// the object's size.
+    /// Masks of truncated objects end up to [`TRUNCATION_PX`] before it, or as far as their box prompts do: boxes whose
+    /// sides err by up to a tenth end up to a twentieth of their side before it in four of five cases, and the mask of
+    /// a rendered lorry ended 4 % before it.
     pub fn is_truncated(&self, width: u32, height: u32) -> bool {
         let margin = |side: u32| TRUNCATION_PX.max(side / 20);
         let (x, y) = (margin(self.width()), margin(self.height()));

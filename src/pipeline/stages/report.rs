@@ -44,7 +44,7 @@ pub fn link_exports(output: &Path) -> Result<()> {
     renew(&Workspace::open(output)?)
 }
 
-/// Writes the page of `tractrix sfm`, the points of the background and its map frame: its result are models.
+/// Writes the page of `tractrix sfm`, the points of the background and its map frame. Its result is models.
 ///
 /// # Errors
 /// A file that cannot be read or written.
